@@ -1,0 +1,51 @@
+"""The one OpenGL context of the process, off-screen (EGL, OpenGL 3.3 core)."""
+
+from functools import cache
+from pathlib import Path
+
+import moderngl
+
+from treebake.errors import GraphicsError
+
+_SHADERS = Path(__file__).parent / "shaders"
+
+
+@cache
+def context() -> moderngl.Context:
+    """Open the off-screen context on first use and return it.
+
+    The library names carry their version because Debian ships the unversioned ones in -dev packages only.
+
+    Raises GraphicsError where EGL or OpenGL cannot be loaded.
+    """
+    try:
+        gl = moderngl.create_context(
+            require=330, standalone=True, backend="egl", libgl="libGL.so.1", libegl="libEGL.so.1"
+        )
+    except Exception as error:
+        raise GraphicsError(
+            f"no off-screen OpenGL 3.3 on this machine ({error}); on Debian or Ubuntu install it with: "
+            "apt-get install libegl1 libgl1 libgl1-mesa-dri"
+        ) from error
+    gl.gc_mode = "auto"
+    return gl
+
+
+def program(name: str) -> moderngl.Program:
+    """Compile `shaders/NAME.glsl`: both stages in one file, told apart by VERTEX_STAGE and FRAGMENT_STAGE.
+
+    A line `#include "other.glsl"` is replaced by that file.
+    """
+    return _program(context(), name)
+
+
+@cache
+def _program(gl: moderngl.Context, name: str) -> moderngl.Program:
+    source = _source(f"{name}.glsl")
+    head = "#version 330 core\n#define {}_STAGE\n"
+    return gl.program(vertex_shader=head.format("VERTEX") + source, fragment_shader=head.format("FRAGMENT") + source)
+
+
+def _source(name: str) -> str:
+    lines = (_SHADERS / name).read_text(encoding="utf-8").split("\n")
+    return "\n".join(_source(line.split('"')[1]) if line.startswith("#include") else line for line in lines)

@@ -1,0 +1,210 @@
+"""The types that flow between the stages: frozen dataclasses of arrays.
+
+Frame of every position: right-handed, Y up, the source file's unit (metres by glTF's rule, though files differ: every
+default length in treebake is relative to leaf or tree size). Faces are counter-clockwise seen from outside. Texture
+coordinates follow glTF: (0, 0) is the centre-less corner of the *top* left texel, v grows downwards, wrap repeats.
+
+Arrays are never changed in place once they sit in one of these types.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float32]
+Doubles = NDArray[np.float64]
+Ints = NDArray[np.int32]
+Bytes = NDArray[np.uint8]
+
+
+class AlphaMode(StrEnum):
+    """How a material's alpha is read, by glTF's names."""
+
+    OPAQUE = "OPAQUE"  # alpha is ignored
+    MASK = "MASK"  # drawn where alpha >= alpha_cutoff
+    BLEND = "BLEND"  # over-blended
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """An image as stored in a file.
+
+    pixels: (height, width, 4) uint8, row 0 on top. RGB is sRGB-encoded in a colour map and linear in a normal map;
+    alpha is linear, 255 where the file had none.
+    """
+
+    name: str
+    pixels: Bytes
+
+    @property
+    def has_alpha(self) -> bool:
+        """Whether any texel is less than opaque."""
+        return bool((self.pixels[..., 3] < 255).any())
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """The part of a glTF material that treebake draws.
+
+    base_color: linear RGBA factor on the colour map. normal_map: tangent space, +Y up (glTF).
+    """
+
+    name: str
+    base_color: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    color_map: Texture | None = None
+    normal_map: Texture | None = None
+    alpha_mode: AlphaMode = AlphaMode.OPAQUE
+    alpha_cutoff: float = 0.5
+    double_sided: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles with materials, all in one frame (node transforms are already applied).
+
+    positions: (V, 3) float32. normals: (V, 3) float32, unit. uvs: (V, 2) float32. faces: (F, 3) int32 into the
+    vertices. face_material: (F,) int32 into `materials`. face_node: (F,) int32 into `nodes` (the names of the file's
+    nodes). A mesh may be empty (no faces); a vertex may be unused.
+    """
+
+    positions: Floats
+    normals: Floats
+    uvs: Floats
+    faces: Ints
+    face_material: Ints
+    face_node: Ints
+    materials: tuple[Material, ...]
+    nodes: tuple[str, ...]
+
+    @property
+    def triangles(self) -> int:
+        """The number of faces."""
+        return len(self.faces)
+
+    @cached_property
+    def bounds(self) -> Floats:
+        """Least and greatest corner of the used vertices: (2, 3) float32; zeros where there is no face."""
+        if not len(self.faces):
+            return np.zeros((2, 3), np.float32)
+        used = self.positions[self.faces].reshape(-1, 3)
+        return np.stack([used.min(axis=0), used.max(axis=0)])
+
+    @cached_property
+    def face_areas(self) -> Doubles:
+        """(F,) float64, unit squared."""
+        a, b, c = (self.positions[self.faces[:, i]].astype(np.float64) for i in range(3))
+        areas: Doubles = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        return areas
+
+    def select(self, mask: NDArray[np.bool_]) -> "Mesh":
+        """The faces where mask: (F,) bool, with the unused vertices dropped; materials and nodes stay whole."""
+        faces = self.faces[mask]
+        used, inverse = np.unique(faces, return_inverse=True)
+        return Mesh(
+            positions=self.positions[used],
+            normals=self.normals[used],
+            uvs=self.uvs[used],
+            faces=inverse.reshape(-1, 3).astype(np.int32),
+            face_material=self.face_material[mask],
+            face_node=self.face_node[mask],
+            materials=self.materials,
+            nodes=self.nodes,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Leaves:
+    """The sparse set of a tree ([J00] 2.1), one row per element: a leaf, or a piece of a twig too thin for the trunk.
+
+    face_leaf: (F,) int32, which element each face of the foliage mesh belongs to; every element has a face.
+    centers: (N, 3) float64, area-weighted. normals: (N, 3) float64, unit, area-weighted average. areas: (N,) float64.
+    radii: (N,) float64, distance from the centre to the element's farthest vertex.
+    axes: (N, 3) float64, unit direction of a twig piece, whose normal is free about it; zero for a leaf.
+    shape: (N,) int32, which of S congruent shapes the element is a copy of.
+    exemplars: (S,) int32, the element that stands for each shape.
+    transforms: (N, 3, 4) float64, takes the exemplar's vertices onto the element's (rotation, uniform scale, mirror).
+    """
+
+    face_leaf: Ints
+    centers: Doubles
+    normals: Doubles
+    areas: Doubles
+    radii: Doubles
+    axes: Doubles
+    shape: Ints
+    exemplars: Ints
+    transforms: Doubles
+
+    @property
+    def count(self) -> int:
+        """The number of elements."""
+        return len(self.centers)
+
+    @property
+    def is_twig(self) -> NDArray[np.bool_]:
+        """(N,) bool, whether the element is a twig piece."""
+        return np.asarray(self.axes.any(axis=1))
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Where the split put one group of faces, and why, in words for the user."""
+
+    group: str  # a material's, a node's or a kind of component's name
+    role: str  # "trunk" or "foliage"
+    triangles: int
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """A tree split in two: solid trunk and sparse foliage; either mesh may be empty."""
+
+    trunk: Mesh
+    foliage: Mesh
+    leaves: Leaves
+    decisions: tuple[Decision, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Clusters:
+    """Leaves gathered into planes n.p + d = 0 ([GSSK05] 2.1).
+
+    labels: (N,) int32, the plane of each leaf. normals: (K, 3) float64, unit. offsets: (K,) float64, the d of the
+    plane equation, oriented so that d >= 0. Every plane has at least one leaf.
+    """
+
+    labels: Ints
+    normals: Doubles
+    offsets: Doubles
+
+    @property
+    def count(self) -> int:
+        """The number of planes."""
+        return len(self.offsets)
+
+
+@dataclass(frozen=True, eq=False)
+class BillboardCloud:
+    """Cards on the planes of the clusters, with one atlas.
+
+    mesh: the cards, with one material (MASK, double-sided) whose colour and normal maps are the atlas.
+    face_cluster: (F,) int32, the plane on which each triangle of the mesh lies.
+    """
+
+    mesh: Mesh
+    face_cluster: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class BakedTree:
+    """Everything that is published of one tree. `source` is the whole source mesh's size, for the manifest."""
+
+    name: str
+    cloud: BillboardCloud
+    trunk: Mesh
+    source_triangles: int
+    source_bounds: Floats  # (2, 3) float32
