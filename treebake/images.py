@@ -1,0 +1,115 @@
+"""Images in and out, and the FLIP metric: everything that touches OpenImageIO.
+
+In memory an image is a numpy array, row 0 on top: (h, w, 4) uint8 as stored in files, or float32 where it is light.
+"""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import OpenImageIO as oiio
+
+from treebake.errors import InputError, WorkspaceError
+from treebake.model import Bytes, Floats
+
+
+def read_image(path: Path) -> Bytes:
+    """Read any common image file as (h, w, 4) uint8; a missing alpha is 255, a palette is resolved.
+
+    Raises InputError where the file is missing or no image.
+    """
+    source = oiio.ImageInput.open(str(path))
+    if source is None:
+        oiio.geterror()
+        raise InputError(f"{path} cannot be read as an image; give a PNG, JPEG, WebP, TIFF or EXR file")
+    pixels = source.read_image(oiio.UINT8)
+    source.close()
+    if pixels is None:
+        raise InputError(f"{path} is a damaged image ({source.geterror()}); export it again")
+    return _rgba(pixels)
+
+
+def decode_image(data: bytes, name: str) -> Bytes:
+    """Decode an image file held in memory, as `read_image` does; `name` is for the message.
+
+    Raises InputError where the bytes are no image.
+    """
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"image{_suffix(data)}"
+        path.write_bytes(data)
+        try:
+            return read_image(path)
+        except InputError:
+            raise InputError(f"the image {name} cannot be decoded; export it again as PNG or JPEG") from None
+
+
+def encode_png(pixels: Bytes) -> bytes:
+    """Encode (h, w, 3 or 4) uint8 as PNG; the same pixels give the same bytes."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "image.png"
+        write_png(path, pixels)
+        return path.read_bytes()
+
+
+def write_png(path: Path, pixels: Bytes) -> None:
+    """Write (h, w, 3 or 4) uint8 as PNG, alpha unassociated as glTF wants it.
+
+    Raises WorkspaceError where the file cannot be written.
+    """
+    height, width, channels = pixels.shape
+    spec = oiio.ImageSpec(width, height, channels, oiio.UINT8)
+    spec.attribute("oiio:UnassociatedAlpha", 1)
+    spec.attribute("png:compressionLevel", 6)
+    target = oiio.ImageOutput.create(str(path))
+    if target is None or not target.open(str(path), spec):
+        raise WorkspaceError(f"{path} cannot be written; check the folder and its permissions")
+    target.write_image(np.ascontiguousarray(pixels))
+    target.close()
+
+
+def to_linear(srgb: Bytes) -> Floats:
+    """Decode sRGB uint8 to linear float32 in 0..1 (IEC 61966-2-1)."""
+    return _LINEAR[srgb]
+
+
+def to_srgb(linear: Floats) -> Bytes:
+    """Encode linear 0..1 to sRGB uint8; values outside are clipped."""
+    x = np.clip(linear, 0, 1)
+    encoded = np.where(x <= 0.0031308, x * 12.92, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
+    return np.rint(encoded * 255).astype(np.uint8)
+
+
+def flip_error(reference: Floats, test: Floats) -> Floats:
+    """LDR-FLIP error map of two linear (h, w, 3) float32 images at 67 pixels per degree: (h, w) float32 in 0..1."""
+    result = oiio.ImageBufAlgo.FLIP_diff(_buffer(reference), _buffer(test), hdr=0)
+    error: Floats = result.get_pixels(oiio.FLOAT)[..., 0]
+    return error
+
+
+def _buffer(pixels: Floats) -> "oiio.ImageBuf":
+    return oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
+
+
+def _rgba(pixels: Bytes) -> Bytes:
+    if pixels.ndim == 2:
+        pixels = pixels[..., None]
+    colour, alpha = {1: (0, None), 2: (0, 1)}.get(pixels.shape[2], (slice(0, 3), 3 if pixels.shape[2] > 3 else None))
+    result = np.full((*pixels.shape[:2], 4), 255, np.uint8)
+    result[..., :3] = pixels[..., colour] if isinstance(colour, slice) else pixels[..., colour, None]
+    if alpha is not None:
+        result[..., 3] = pixels[..., alpha]
+    return result
+
+
+def _suffix(data: bytes) -> str:
+    if data[:4] == b"\x89PNG":
+        return ".png"
+    return ".webp" if data[8:12] == b"WEBP" else ".jpg"
+
+
+def _linear_table() -> Floats:
+    x = np.arange(256) / 255
+    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+_LINEAR = _linear_table()
