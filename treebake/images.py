@@ -18,7 +18,9 @@ def read_image(path: Path) -> Bytes:
 
     Raises InputError where the file is missing or no image.
     """
-    source = oiio.ImageInput.open(str(path))
+    keep_alpha_unassociated = oiio.ImageSpec()
+    keep_alpha_unassociated.attribute("oiio:UnassociatedAlpha", 1)
+    source = oiio.ImageInput.open(str(path), keep_alpha_unassociated)
     if source is None:
         oiio.geterror()
         raise InputError(f"{path} cannot be read as an image; give a PNG, JPEG, WebP, TIFF or EXR file")
