@@ -1,0 +1,204 @@
+import json
+import struct
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gltf_validate import assert_valid
+
+from treebake import __version__
+from treebake.errors import WorkspaceError
+from treebake.glb import encode_glb, write_glb
+from treebake.images import decode_image
+from treebake.model import AlphaMode, Material, Mesh, Texture
+
+FORMATS = {5123: np.dtype("<u2"), 5125: np.dtype("<u4"), 5126: np.dtype("<f4")}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+
+
+def parse(glb):
+    """The JSON and the binary chunk of a GLB, by the letter of the specification."""
+    magic, version, length = struct.unpack_from("<4sII", glb)
+    assert (magic, version, length) == (b"glTF", 2, len(glb))
+    size, kind = struct.unpack_from("<I4s", glb, 12)
+    assert kind == b"JSON"
+    assert size % 4 == 0
+    document = json.loads(glb[20 : 20 + size])
+    binary = b""
+    if len(glb) > 20 + size:
+        binary_size, kind = struct.unpack_from("<I4s", glb, 20 + size)
+        assert kind == b"BIN\0"
+        binary = glb[28 + size :]
+        assert binary_size == len(binary) == document["buffers"][0]["byteLength"]
+    return document, binary
+
+
+def view_bytes(document, binary, index):
+    view = document["bufferViews"][index]
+    assert view["byteOffset"] % 4 == 0
+    return binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+
+
+def array(document, binary, index):
+    accessor = document["accessors"][index]
+    values = np.frombuffer(view_bytes(document, binary, accessor["bufferView"]), FORMATS[accessor["componentType"]])
+    assert values.size == accessor["count"] * WIDTHS[accessor["type"]]
+    return values.reshape(-1, WIDTHS[accessor["type"]]).squeeze()
+
+
+def texture(name, alpha=255):
+    pixels = np.random.default_rng(len(name)).integers(0, 256, (4, 8, 4), np.uint8)
+    pixels[0, :, 3] = alpha
+    pixels[1:, :, 3] = 255
+    return Texture(name, pixels)
+
+
+def quads(*materials):
+    """One unit quad per material, each at its own height, with one unused vertex between them."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 0, -1], [0, 0, -1], [9, 9, 9]], np.float32)
+    n = len(materials)
+    positions = np.concatenate([corners + np.float32([0, i, 0]) for i in range(n)] or [corners]).astype(np.float32)
+    return Mesh(
+        positions=positions,
+        normals=np.tile(np.float32([0, 1, 0]), (len(positions), 1)),
+        uvs=np.ascontiguousarray(positions[:, [0, 2]]),
+        faces=np.concatenate(
+            [np.int32([[0, 1, 2], [0, 2, 3]]) + 5 * i for i in range(n)] or [np.zeros((0, 3), np.int32)]
+        ),
+        face_material=np.repeat(np.arange(n, dtype=np.int32), 2),
+        face_node=np.zeros(2 * n, np.int32),
+        materials=materials,
+        nodes=("quads",),
+    )
+
+
+LEAF = Material("leaf", (1, 0.5, 1, 1), texture("leaf", alpha=0), texture("bumps"), AlphaMode.MASK, 0.3, True)
+
+
+def test_every_primitive_keeps_its_own_geometry():
+    mesh = quads(LEAF, Material("bark", color_map=texture("bark")), Material("plain"))
+    document, binary = parse(encode_glb([("tree", mesh)]))
+    assert document["nodes"] == [{"name": "tree", "mesh": 0}]
+    primitives = document["meshes"][0]["primitives"]
+    assert [document["materials"][p["material"]]["name"] for p in primitives] == ["leaf", "bark", "plain"]
+    for i, primitive in enumerate(primitives):
+        positions, normals = (array(document, binary, primitive["attributes"][k]) for k in ("POSITION", "NORMAL"))
+        indices = array(document, binary, primitive["indices"]).reshape(-1, 3)
+        faces = mesh.faces[mesh.face_material == i]
+        np.testing.assert_array_equal(positions[indices], mesh.positions[faces])
+        np.testing.assert_array_equal(normals[indices], mesh.normals[faces])
+        assert len(positions) == 4  # the unused vertex is dropped
+        accessor = document["accessors"][primitive["attributes"]["POSITION"]]
+        assert (accessor["min"], accessor["max"]) == ([0, i, -1], [1, i, 0])
+        if i < 2:
+            uvs = array(document, binary, primitive["attributes"]["TEXCOORD_0"])
+            np.testing.assert_array_equal(uvs[indices], mesh.uvs[faces])
+    assert "TEXCOORD_0" not in primitives[2]["attributes"]
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_tangents_follow_u_and_bitangents_point_up_the_image(mirrored):
+    mesh = quads(LEAF)
+    uvs = mesh.uvs * np.float32([-1, 1] if mirrored else [1, 1])
+    document, binary = parse(encode_glb([("leaf", replace(mesh, uvs=uvs))]))
+    tangents = array(document, binary, document["meshes"][0]["primitives"][0]["attributes"]["TANGENT"])
+    np.testing.assert_allclose(tangents[:, :3], [[-1 if mirrored else 1, 0, 0]] * 4)
+    bitangents = np.cross([0, 1, 0], tangents[:, :3]) * tangents[:, 3:]
+    np.testing.assert_allclose(bitangents, [[0, 0, -1]] * 4)  # v grows with z, so up the image is -z
+
+
+def test_tangents_without_a_direction_are_unit_and_at_right_angles():
+    mesh = quads(LEAF)
+    document, binary = parse(encode_glb([("leaf", replace(mesh, uvs=np.zeros_like(mesh.uvs)))]))
+    tangents = array(document, binary, document["meshes"][0]["primitives"][0]["attributes"]["TANGENT"])
+    np.testing.assert_allclose(np.linalg.norm(tangents[:, :3], axis=1), 1)
+    np.testing.assert_allclose(tangents[:, 1], 0)
+
+
+def test_material_fields_follow_the_specification():
+    document, _ = parse(encode_glb([("a", quads(LEAF)), ("b", quads(Material("plain")))]))
+    leaf, plain = document["materials"]
+    assert leaf == {
+        "name": "leaf",
+        "pbrMetallicRoughness": {
+            "metallicFactor": 0,
+            "roughnessFactor": 1,
+            "baseColorFactor": [1, 0.5, 1, 1],
+            "baseColorTexture": {"index": 0},
+        },
+        "normalTexture": {"index": 1},
+        "alphaMode": "MASK",
+        "alphaCutoff": 0.3,
+        "doubleSided": True,
+    }
+    assert plain == {"name": "plain", "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}}
+    assert document["samplers"] == [{"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}]
+    assert document["asset"] == {"version": "2.0", "generator": f"treebake {__version__}"}
+
+
+def test_textures_are_shared_and_keep_alpha_only_where_it_is_read():
+    shared = texture("shared", alpha=0)
+    masked, opaque = (
+        Material("masked", color_map=shared, alpha_mode=AlphaMode.MASK),
+        Material("opaque", color_map=shared),
+    )
+    document, binary = parse(encode_glb([("a", quads(masked, opaque)), ("b", quads(masked))]))
+    assert len(document["materials"]) == len(document["images"]) == len(document["textures"]) == 2
+    with_alpha, without = (
+        decode_image(view_bytes(document, binary, image["bufferView"]), image["name"]) for image in document["images"]
+    )
+    np.testing.assert_array_equal(with_alpha, shared.pixels)
+    np.testing.assert_array_equal(without[..., :3], shared.pixels[..., :3])
+    assert (without[..., 3] == 255).all()
+
+
+@pytest.mark.parametrize(("vertices", "kind"), [(65535, 5123), (65536, 5125)])
+def test_index_width_avoids_the_restart_value(vertices, kind):
+    grid = np.arange(vertices, dtype=np.int32)
+    mesh = replace(
+        quads(Material("m")),
+        positions=np.stack([grid, grid % 7, grid % 5], axis=1).astype(np.float32),
+        normals=np.tile(np.float32([0, 1, 0]), (vertices, 1)),
+        uvs=np.zeros((vertices, 2), np.float32),
+        faces=np.stack([grid, np.roll(grid, 1), np.roll(grid, 2)], axis=1),
+        face_material=np.zeros(vertices, np.int32),
+    )
+    document, _ = parse(encode_glb([("m", mesh)]))
+    assert document["accessors"][document["meshes"][0]["primitives"][0]["indices"]]["componentType"] == kind
+
+
+def test_empty_meshes_are_left_out():
+    document, binary = parse(encode_glb([("nothing", quads()), ("quad", quads(LEAF))]))
+    assert [node["name"] for node in document["nodes"]] == ["quad"]
+    document, binary = parse(encode_glb([("nothing", quads())]))
+    assert "nodes" not in document
+    assert not binary
+
+
+def test_same_input_gives_the_same_bytes():
+    assert encode_glb([("a", quads(LEAF))], {"b": 1}) == encode_glb([("a", quads(LEAF))], {"b": 1})
+
+
+def test_validator_finds_nothing(tmp_path):
+    write_glb(tmp_path / "full.glb", [("tree", quads(LEAF, Material("bark")))], {"treebake": {"name": "Ä"}})
+    write_glb(tmp_path / "empty.glb", [])
+    assert_valid(tmp_path / "full.glb", tmp_path / "empty.glb")
+
+
+def test_writing_replaces_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "tree.glb"
+    write_glb(path, [])
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="JSON"):
+        write_glb(path, [("quad", quads(LEAF))], {"not a number": float("nan")})
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["tree.glb"]
+    with pytest.raises(WorkspaceError, match=r"nowhere/tree\.glb cannot be written"):
+        write_glb(tmp_path / "nowhere/tree.glb", [])
+
+
+def test_a_failed_rename_leaves_no_temporary_file(tmp_path):
+    (tmp_path / "folder.glb").mkdir()
+    with pytest.raises(WorkspaceError):
+        write_glb(tmp_path / "folder.glb", [])
+    assert [p.name for p in tmp_path.iterdir()] == ["folder.glb"]
