@@ -1,0 +1,84 @@
+// Draws glTF materials as a stock real-time client does: Lambert under one sun and a two-colour sky, out in linear light.
+// Lights stand still in the world, so a tree is seen lit from all sides as the camera goes round.
+
+#ifdef VERTEX_STAGE
+uniform mat4 to_clip;
+
+in vec3 in_position;
+in vec3 in_normal;
+in vec2 in_uv;
+
+out vec3 position;
+out vec3 normal;
+out vec2 uv;
+centroid out float range;
+
+void main() {
+    position = in_position;
+    normal = in_normal;
+    uv = in_uv;
+    gl_Position = to_clip * vec4(in_position, 1.0);
+    range = gl_Position.w;
+}
+#endif
+
+#ifdef FRAGMENT_STAGE
+const int OPAQUE = 0;
+const int MASK = 1;
+const int BLEND = 2;
+
+const vec3 SUN_DIRECTION = normalize(vec3(0.5, 0.8, 0.35));
+const vec3 SUN = vec3(1.25, 1.15, 1.0);
+const vec3 SKY = vec3(0.45, 0.52, 0.62);
+const vec3 GROUND = vec3(0.22, 0.20, 0.16);
+
+uniform vec4 base_color;
+uniform sampler2D color_map;  // sRGB: decoded before it is filtered
+uniform sampler2D normal_map;
+uniform bool has_normal_map;
+uniform int alpha_mode;
+uniform float alpha_cutoff;
+
+in vec3 position;
+in vec3 normal;
+in vec2 uv;
+centroid in float range;  // at a pixel's centre, outside a sliver seen edge-on, it would be anything
+
+layout(location = 0) out vec4 color;  // premultiplied
+layout(location = 1) out vec4 depth;  // premultiplied, along the optical axis; only x is kept
+
+// The tangent-space normal `bump` in the world. All vectors face the viewer's side of the surface; `side` is -1 where
+// that is the back. The tangent frame comes from screen-space derivatives, so mirrored texture coordinates and back
+// faces need no vertex tangents. A glTF normal map's +Y points against v.
+vec3 bumped(vec3 facing, float side, vec3 bump) {
+    vec3 dx = dFdx(position);
+    vec3 dy = dFdy(position);
+    vec2 uv_dx = dFdx(uv);
+    vec2 uv_dy = dFdy(uv);
+    float det = uv_dx.x * uv_dy.y - uv_dx.y * uv_dy.x;
+    vec3 along_u = (dx * uv_dy.y - dy * uv_dx.y) * sign(det);
+    vec3 along_v = (dy * uv_dx.x - dx * uv_dy.x) * sign(det);
+    vec3 tangent = along_u - facing * dot(facing, along_u);
+    float stretch = length(tangent);
+    if (stretch == 0.0) return facing;  // no texture direction here
+    tangent /= stretch;
+    vec3 bitangent = cross(facing, tangent);
+    if (dot(bitangent, along_v) > 0.0) bitangent = -bitangent;
+    // Seen from behind, glTF reverses the whole bumped normal: a bump on the front is a dent in the back.
+    return normalize(side * (tangent * bump.x + bitangent * bump.y) + facing * bump.z);
+}
+
+void main() {
+    float side = gl_FrontFacing ? 1.0 : -1.0;
+    vec4 albedo = base_color * texture(color_map, uv);
+    vec3 facing = side * normalize(normal);
+    if (has_normal_map) facing = bumped(facing, side, texture(normal_map, uv).xyz * 2.0 - 1.0);
+    if (alpha_mode == MASK && albedo.a < alpha_cutoff) discard;
+
+    vec3 light = SUN * max(dot(facing, SUN_DIRECTION), 0.0) + mix(GROUND, SKY, 0.5 + 0.5 * facing.y);
+    float alpha = alpha_mode == BLEND ? albedo.a : 1.0;
+    // Clipped here, before samples are averaged, as in a client that draws into 8 bits.
+    color = vec4(min(albedo.rgb * light, 1.0) * alpha, alpha);
+    depth = vec4(alpha * range, 0.0, 0.0, alpha);
+}
+#endif
