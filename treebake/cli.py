@@ -1,0 +1,240 @@
+"""The command line: parse, call, report. Nothing here knows how a tree is baked.
+
+Heavy modules are imported inside the commands, so that `treebake --help` answers at once.
+"""
+
+import sys
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+import treebake
+from treebake.errors import TreebakeError
+from treebake.terminal import Terminal, say
+
+if TYPE_CHECKING:
+    from treebake.settings import Settings
+
+_FILE = click.Path(path_type=Path)
+Command = Callable[..., None]
+
+
+class SettingOption(click.Option):
+    """A flag for one setting, whose help and default are those of its settings dataclass."""
+
+    def __init__(self, flag: str, key: str) -> None:
+        super().__init__([key.replace(".", "__"), flag], metavar="VALUE")
+        self.key = key
+
+    def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
+        """Read the dataclass only when this command's help is asked for."""
+        from treebake.settings import keys
+
+        setting = keys()[self.key]
+        self.help = f"{setting.help}  [{self.key}, default: {setting.default}]"
+        return super().get_help_record(ctx)
+
+
+def _setting(flag: str, key: str) -> Callable[[Command], Command]:
+    def decorate(command: Command) -> Command:
+        params: list[click.Parameter] = command.__dict__.setdefault("__click_params__", [])
+        params.append(SettingOption(flag, key))
+        return command
+
+    return decorate
+
+
+def _talks(command: Command) -> Command:
+    """Give a command its Terminal and the flags that shape it."""
+
+    @wraps(command)
+    def run(quiet: bool, verbose: bool, as_json: bool, **arguments: Any) -> None:
+        command(Terminal(quiet=quiet, verbose=verbose, as_json=as_json), **arguments)
+
+    for option in (
+        click.option("-v", "--verbose", is_flag=True, help="Say more about what the stages do."),
+        click.option("-q", "--quiet", is_flag=True, help="Print warnings and errors only."),
+        click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object on stdout."),
+    ):
+        run = option(run)
+    return run
+
+
+def _configured(command: Command) -> Command:
+    """Give a command its Settings: the files of --config, over them --set, over them the command's own flags."""
+
+    @wraps(command)
+    def run(terminal: Terminal, config: tuple[Path, ...], assignments: tuple[str, ...], **arguments: Any) -> None:
+        from treebake.settings import load_settings, parse_assignments
+
+        flags = {name: value for name, value in arguments.items() if "__" in name}
+        pairs = [*assignments, *(f"{name.replace('__', '.')}={value}" for name, value in flags.items() if value)]
+        settings = load_settings(config, parse_assignments(pairs))
+        command(terminal, settings, **{name: value for name, value in arguments.items() if name not in flags})
+
+    for option in (
+        click.option(
+            "--set", "assignments", multiple=True, metavar="KEY=VALUE", help="Set any setting, e.g. cluster.seed=7."
+        ),
+        click.option("--config", multiple=True, type=_FILE, help="TOML file of settings; repeatable, later files win."),
+    ):
+        run = option(run)
+    return _talks(run)
+
+
+_work = click.option("-o", "work", required=True, type=_FILE, metavar="WORK", help="Work folder of this tree.")
+_force = click.option("--force", is_flag=True, help="Run every stage again, even where nothing has changed.")
+_up = _setting("--up", "load.up")
+_billboards = _setting("--billboards", "cluster.billboards")
+_atlas = _setting("--atlas", "textures.atlas")
+_trunk = _setting("--trunk-triangles", "trunk.triangles")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(treebake.__version__, message="treebake %(version)s")
+def cli() -> None:
+    """Bake detailed tree meshes into billboard clouds, and prove how good they are.
+
+    \b
+    treebake bake oak.glb -o build              everything, into build/oak/
+    treebake verify build/oak --source oak.glb  render both, score, write the report
+    """
+
+
+@cli.command(short_help="Grow a procedural tree and write it as GLB.")
+@click.argument("species")
+@click.option("-o", "output", type=_FILE, metavar="FILE", help="GLB to write.  [default: SPECIES.glb]")
+@click.option(
+    "--seed", default=0, show_default=True, help="Another seed is another tree; the same seed the same bytes."
+)
+@click.option("--leaves", type=click.IntRange(1, 1_000_000), help="Leaves to grow.  [default: the species' own]")
+@_talks
+def grow(terminal: Terminal, species: str, output: Path | None, seed: int, leaves: int | None) -> None:
+    """Grow a procedural tree and write it as GLB.
+
+    SPECIES is one of chestnut, oak, cork, horse-chestnut, shrub, maple, alder.
+    """
+    from treebake.glb import write_glb
+    from treebake.grow import grow as grow_tree
+    from treebake.summary import of_mesh
+
+    path = output or Path(f"{species}.glb")
+    with terminal.announce("grow", skipped=False):
+        mesh = grow_tree(species, seed=seed, leaves=leaves)
+        write_glb(path, [(species, mesh)])
+    terminal.show({"file": str(path), **of_mesh(mesh)})
+
+
+@cli.command(short_help="Split a tree and gather its leaves into planes.")
+@click.argument("tree", type=_FILE)
+@_work
+@_billboards
+@_up
+@_force
+@_configured
+def cluster(terminal: Terminal, settings: "Settings", tree: Path, work: Path, force: bool) -> None:
+    """Split TREE into trunk and leaves and gather the leaves into planes, into the folder WORK.
+
+    TREE is a GLB, glTF, OBJ or PLY file.
+    """
+    from treebake.pipeline import cluster_tree
+    from treebake.summary import of_clustered
+    from treebake.workspace import Workspace
+
+    done = cluster_tree(tree, Workspace(work, force, terminal.announce), settings)
+    terminal.show({"work": str(work), **of_clustered(done)})
+
+
+@cli.command(short_help="Render the planes into an atlas, simplify the trunk, publish.")
+@click.argument("work", type=_FILE)
+@click.option("-o", "out", type=_FILE, metavar="OUT", help="Publish into OUT/NAME/.  [default: WORK itself]")
+@_atlas
+@_trunk
+@_force
+@_configured
+def textures(terminal: Terminal, settings: "Settings", work: Path, out: Path | None, force: bool) -> None:
+    """Render the planes of a clustered WORK folder into an atlas, simplify the trunk and publish the asset."""
+    from treebake.pipeline import bake_textures
+    from treebake.summary import of_asset
+    from treebake.workspace import Workspace
+
+    folder = bake_textures(Workspace(work, force, terminal.announce), out, settings)
+    terminal.show({"asset": str(folder), **of_asset(folder)})
+
+
+@cli.command(short_help="Mesh in, published asset out: cluster and textures in one.")
+@click.argument("tree", type=_FILE)
+@click.option(
+    "-o", "out", required=True, type=_FILE, metavar="OUT", help="Publish into OUT/NAME/, which keeps the stages too."
+)
+@_billboards
+@_atlas
+@_trunk
+@_up
+@_force
+@_configured
+def bake(terminal: Terminal, settings: "Settings", tree: Path, out: Path, force: bool) -> None:
+    """Bake TREE from mesh to published asset: `cluster` and `textures` in one.
+
+    TREE is a GLB, glTF, OBJ or PLY file; NAME is its name without the suffix.
+    """
+    from treebake.pipeline import bake_textures, cluster_tree
+    from treebake.summary import of_asset, of_clustered
+    from treebake.workspace import Workspace
+
+    work = Workspace(out / tree.stem, force, terminal.announce)
+    done = cluster_tree(tree, work, settings)
+    folder = bake_textures(work, None, settings)
+    terminal.show({"asset": str(folder), **of_clustered(done), **of_asset(folder)})
+
+
+@cli.command(short_help="Render an asset next to its source and score it.")
+@click.argument("asset", type=_FILE, required=False)
+@click.option("--source", required=True, type=_FILE, metavar="TREE", help="The tree that it was baked from.")
+@click.option("--candidate", type=_FILE, metavar="FILE", help="Judge this glTF, GLB or OBJ instead of an asset.")
+@click.option("-o", "out", type=_FILE, metavar="FOLDER", help="Where the report goes.  [default: ASSET/report]")
+@click.option("--quick", is_flag=True, help="Few views and one height, for the edit loop.")
+@_configured
+def verify(terminal: Terminal, settings: "Settings", **arguments: Any) -> None:
+    """Render ASSET (a published or a work folder) next to its source and score it.
+
+    Reads published files only. Exits with 1, naming the metric, where a threshold of [verify] is missed.
+    """
+    from treebake.pipeline import verify_asset
+    from treebake.summary import of_report
+
+    with terminal.announce("verify", skipped=False):
+        report, folder = verify_asset(settings=settings, **arguments)
+    terminal.show({"report": str(folder), **of_report(report)})
+    for miss in report.misses:
+        say(f"treebake: missed: {miss}")
+    sys.exit(1 if report.misses else 0)
+
+
+@cli.command(short_help="Say what is in a tree or an asset.")
+@click.argument("file", type=_FILE)
+@_up
+@_configured
+def inspect(terminal: Terminal, settings: "Settings", file: Path) -> None:
+    """Say what is in FILE: a tree (and how it would be split) or an asset folder."""
+    from treebake.summary import of_file
+
+    terminal.show(of_file(file, settings))
+
+
+def main() -> None:
+    """Run the command line; every error on purpose is one line and exit 2."""
+    try:
+        sys.exit(cli(standalone_mode=False) or 0)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(2)
+    except TreebakeError as error:
+        say(f"treebake: error: {' '.join(str(error).split())}")
+        sys.exit(2)
+    except (KeyboardInterrupt, click.Abort):
+        say("treebake: interrupted; nothing is half-written, and the same command goes on where it stopped")
+        sys.exit(130)

@@ -1,0 +1,76 @@
+"""The order of the stages, on one screen.
+
+    load -> split -> twigs -> cluster             `cluster_tree`: a mesh file into the work folder
+            -> billboards, trunk -> write_asset   `bake_textures`: the work folder into the published one
+
+The verifier stands apart: it reads published files only.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from treebake.asset import write_asset
+from treebake.meshes import read_mesh
+from treebake.model import BakedTree, BillboardCloud, Clusters, Floats, Tree
+from treebake.settings import Settings
+from treebake.stages.billboards import billboards
+from treebake.stages.cluster import cluster
+from treebake.stages.split import split
+from treebake.stages.trunk import trunk
+from treebake.stages.twigs import twigs
+from treebake.workspace import Result, Workspace
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What the published asset says of the mesh that it was made from."""
+
+    name: str
+    triangles: int
+    bounds: Floats  # (2, 3) float32
+
+
+@dataclass(frozen=True)
+class Clustered:
+    """What `cluster_tree` left in the work folder."""
+
+    split: Result[Tree]
+    tree: Result[Tree]  # after the thin twigs moved into the foliage
+    clusters: Result[Clusters] | None  # None where there is no foliage
+
+
+def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
+    """Read a tree, split it and gather its leaves into planes.
+
+    Raises InputError, SettingsError and WorkspaceError.
+    """
+    with work.announce("load", skipped=False):
+        mesh = read_mesh(path, settings.load)
+        work.keep("source", Source(path.stem, mesh.triangles, mesh.bounds))
+    parts = work.run(split, settings.split, Result.of(mesh))
+    tree = work.run(twigs, settings.twigs, parts)
+    clusters = work.run(cluster, settings.cluster, tree.part("leaves")) if tree.value.leaves.count else None
+    return Clustered(parts, tree, clusters)
+
+
+def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Path:
+    """Render the clusters of a work folder into an atlas, simplify the trunk and publish both.
+
+    The asset goes to OUT/NAME, or into the work folder itself where `out` is None. Returns its folder.
+    Raises WorkspaceError where `cluster_tree` has not been run, BudgetError, GraphicsError and SettingsError.
+    """
+    command = f"treebake cluster TREE -o {work.folder}"
+    source: Source = work.read("source", command).value
+    tree = work.read("twigs", command)
+    if tree.value.leaves.count:
+        clusters = work.read("cluster", command, tree.part("leaves"))
+        cloud = work.run(billboards, settings.textures, tree, clusters).value
+    else:
+        cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
+    stem = work.run(trunk, settings.trunk, tree.part("trunk")).value
+    folder = out / source.name if out else work.folder
+    with work.announce("asset", skipped=False):
+        write_asset(BakedTree(source.name, cloud, stem, source.triangles, source.bounds), folder)
+    return folder

@@ -1,0 +1,176 @@
+"""TOML files and command-line flags into one frozen `Settings`.
+
+Each stage's own settings dataclass is the single source of its defaults and help: a field's trailing comment gives its
+meaning, unit and range, and is what `--help` and `configs/default.toml` show.
+"""
+
+import difflib
+import inspect
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cache
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import msgspec
+
+from treebake.errors import SettingsError
+from treebake.meshes import LoadSettings
+from treebake.stages.billboards import BillboardSettings
+from treebake.stages.cluster import ClusterSettings
+from treebake.stages.split import SplitSettings
+from treebake.stages.trunk import TrunkSettings
+from treebake.stages.twigs import TwigSettings
+from treebake.verify import VerifySettings
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything that can be set, one table per stage."""
+
+    load: LoadSettings = field(default_factory=LoadSettings)
+    split: SplitSettings = field(default_factory=SplitSettings)
+    twigs: TwigSettings = field(default_factory=TwigSettings)
+    cluster: ClusterSettings = field(default_factory=ClusterSettings)
+    textures: BillboardSettings = field(default_factory=BillboardSettings)
+    trunk: TrunkSettings = field(default_factory=TrunkSettings)
+    verify: VerifySettings = field(default_factory=VerifySettings)
+
+
+@dataclass(frozen=True)
+class Key:
+    """One setting, e.g. cluster.billboards, as its dataclass declares it."""
+
+    name: str  # "table.key"
+    type: Any
+    default: Any
+    help: str  # meaning, unit and range: the field's comment
+
+
+def load_settings(paths: Sequence[Path] = (), overrides: Mapping[str, Any] | None = None) -> Settings:
+    """Merge TOML files, later ones over earlier ones, and `overrides` ("table.key" -> value) over all of them.
+
+    Raises SettingsError, naming the file and the key, for a file that cannot be read, an unknown key (with the nearest
+    known one) and a value of the wrong type.
+    """
+    values: dict[str, Any] = {}
+    for path in paths:
+        for name, value in _read(path):
+            values[name] = _convert(name, value, str(path))
+    for name, value in (overrides or {}).items():
+        values[name] = _convert(name, value, "command line")
+    tables = {
+        table: settings(**{name.split(".")[1]: value for name, value in values.items() if name.split(".")[0] == table})
+        for table, settings in _tables().items()
+    }
+    return Settings(**tables)
+
+
+def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
+    """Turn "table.key=value" texts into overrides; a value is TOML, or else plain text.
+
+    Raises SettingsError for a text without an equals sign.
+    """
+    overrides = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        if not equals:
+            raise SettingsError(f"--set {assignment}: write it as table.key=value, e.g. --set cluster.billboards=100")
+        try:
+            overrides[name.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            overrides[name.strip()] = text
+    return overrides
+
+
+@cache
+def keys() -> dict[str, Key]:
+    """Every setting by its "table.key" name, in the order of the dataclasses."""
+    return {
+        name: Key(name, hints[item.name], default, comments.get(item.name, ""))
+        for table, settings in _tables().items()
+        for hints, comments, defaults in [(get_type_hints(settings), _comments(settings), settings())]
+        for item in fields(settings)
+        for name, default in [(f"{table}.{item.name}", getattr(defaults, item.name))]
+    }
+
+
+def default_toml() -> str:
+    """The text of `configs/default.toml`: every key with its default and its comment."""
+    lines = ["# Every setting with its default. A file given with --config needs only the keys that it changes."]
+    table = ""
+    for key in keys().values():
+        if not key.name.startswith(f"{table}."):
+            table = key.name.split(".")[0]
+            lines += ["", f"[{table}]"]
+        lines += [f"# {key.help}", f"{key.name.split('.')[1]} = {_toml(key.default)}"]
+    return "\n".join(lines) + "\n"
+
+
+def _tables() -> dict[str, type[Any]]:
+    return get_type_hints(Settings)
+
+
+def _read(path: Path) -> list[tuple[str, Any]]:
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise SettingsError(f"{path} cannot be read ({error.strerror}); check the path given with --config") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise SettingsError(f"{path} is not valid TOML: {error}") from error
+    entries = []
+    for table, content in tables.items():
+        if table not in _tables() or not isinstance(content, dict):
+            raise SettingsError(f"{path}: there is no table [{table}]{_nearest(table, _tables())}")
+        entries += [(f"{table}.{key}", value) for key, value in content.items()]
+    return entries
+
+
+def _convert(name: str, value: Any, origin: str) -> Any:
+    known = keys()
+    if name not in known:
+        raise SettingsError(f"{origin}: there is no setting {name}{_nearest(name, known)}")
+    try:
+        return msgspec.convert(value, known[name].type)
+    except msgspec.ValidationError as error:
+        reason = str(error).replace("`", "")
+        raise SettingsError(
+            f"{origin}: {name} = {value!r}: {reason[0].lower()}{reason[1:]}; {known[name].help}"
+        ) from error
+
+
+def _nearest(name: str, known: Mapping[str, Any]) -> str:
+    same = [key for key in known if key.split(".")[1:] == name.split(".")[1:] != []]  # the right key, the wrong table
+    near = same or difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+    return f"; did you mean {near[0]}?" if near else f"; known are {', '.join(known)}"
+
+
+def _comments(settings: type[Any]) -> dict[str, str]:
+    """The trailing comment of each field, with the comment lines that follow it."""
+    found: dict[str, str] = {}
+    last = ""
+    for line in inspect.getsource(settings).splitlines():
+        if start := re.match(r"    (\w+)\s*:[^#]*(?:#\s*(.*))?$", line):
+            last = start[1]
+            found[last] = start[2] or ""
+        elif last and (more := re.match(r"\s+#\s*(.*)", line)):
+            found[last] = f"{found[last]} {more[1]}".strip()
+    return found
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return msgspec.json.encode(value).decode()
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, dict):
+        return f"{{ {', '.join(f'{_toml(k)} = {_toml(v)}' for k, v in value.items())} }}" if value else "{}"
+    return repr(value)
+
+
+if __name__ == "__main__":
+    print(default_toml(), end="")

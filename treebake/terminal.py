@@ -1,0 +1,106 @@
+"""What a command says: progress and warnings on stderr, its result on stdout as text or as JSON."""
+
+import json
+import logging
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+
+class Terminal:
+    """The screen of one command."""
+
+    def __init__(self, *, quiet: bool = False, verbose: bool = False, as_json: bool = False) -> None:
+        """quiet: warnings and errors only. verbose: the stages' details too. as_json: the result as one JSON object."""
+        self.quiet = quiet
+        self.as_json = as_json
+        logger = logging.getLogger("treebake")
+        logger.handlers = [_Lines()]
+        logger.setLevel(logging.DEBUG if verbose else logging.WARNING)
+        logger.propagate = False
+
+    @contextmanager
+    def announce(self, stage: str, *, skipped: bool) -> Iterator[None]:
+        """Show a stage while it runs (a bar, on a terminal only), then one line that says how it went."""
+        start = time.perf_counter()
+        with self._bar(stage):
+            yield
+        if not self.quiet:
+            say(f"{stage:<10} {'up to date' if skipped else f'{time.perf_counter() - start:.1f} s'}")
+
+    def show(self, facts: dict[str, Any]) -> None:
+        """Print a command's result: numbers, texts, lists and tables by name."""
+        if self.as_json:
+            print(json.dumps(facts, indent=2))
+        elif not self.quiet:
+            print("\n".join(_text(facts)))
+
+    @contextmanager
+    def _bar(self, stage: str) -> Iterator[None]:
+        if self.quiet or not sys.stderr.isatty():
+            yield
+            return
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+        columns = (SpinnerColumn(), TextColumn("{task.description:<10}"), BarColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+            progress.add_task(stage, total=None)
+            yield
+
+
+class _Lines(logging.Handler):
+    """Warnings, one line each and each only once."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.said: set[str] = set()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        line = f"treebake: {record.levelname.lower()}: {record.getMessage()}"
+        if line not in self.said:
+            self.said.add(line)
+            say(line)
+
+
+def say(line: str) -> None:
+    """Print one line on stderr."""
+    print(line, file=sys.stderr, flush=True)
+
+
+def _text(facts: dict[str, Any]) -> Iterator[str]:
+    width = max(map(len, facts), default=0)
+    for name, value in facts.items():
+        if isinstance(value, dict):
+            yield f"{name}:"
+            yield from (f"  {line}" for line in _text(value))
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            yield f"{name}:"
+            yield from (f"  {line}" for line in _table(value))
+        elif value is not None:
+            yield f"{name:<{width}}  {_cell(value)}"
+
+
+def _table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Rows of equal keys, numbers to the right."""
+    names = list(rows[0])
+    cells = [names, *([_cell(row[name]) for name in names] for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(names))]
+    right = [all(isinstance(row[name], (int, float)) for row in rows) for name in names]
+    for row in cells:
+        padded = (f"{cell:>{w}}" if r else f"{cell:<{w}}" for cell, w, r in zip(row, widths, right, strict=True))
+        yield "  ".join(padded).rstrip()
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return ", ".join(map(_cell, value))
+    return str(value)
