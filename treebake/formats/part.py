@@ -1,0 +1,53 @@
+"""What every reader hands back, and how a reader finds the files named in its file."""
+
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import unquote
+
+from treebake.errors import InputError
+from treebake.images import read_image
+from treebake.model import Floats, Ints, Material, Texture
+
+LOG = logging.getLogger("treebake")
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """The triangles of one node that share one material, in the file's frame, unchecked.
+
+    positions: (V, 3) float32. normals: (V, 3) float32 or None where the file has none; a row of NaN is missing too.
+    uvs: (V, 2) float32, v downwards, or None. faces: (F, 3) int32, may be out of range. material: None where the file
+    names none.
+    """
+
+    node: str
+    material: Material | None
+    positions: Floats
+    normals: Floats | None
+    uvs: Floats | None
+    faces: Ints
+
+
+def beside(path: Path, uri: str) -> Path:
+    """The path of a file that `path` names by a relative URI: percent-decoded, either slash.
+
+    Raises InputError where the URI is remote, absolute or leaves the folder of `path`.
+    """
+    relative = Path(unquote(uri).replace("\\", "/"))
+    if not relative.parts or relative.is_absolute() or ".." in relative.parts or ":" in relative.parts[0]:
+        raise InputError(f"{path} refers to {uri}, outside its own folder; put that file beside it and name it so")
+    return path.parent / relative
+
+
+def texture_beside(path: Path, uri: str) -> Texture | None:
+    """Read the image that `path` names by a URI; None, and a warning, where it is missing or damaged.
+
+    Raises InputError as `beside` does.
+    """
+    file = beside(path, uri)
+    try:
+        return Texture(file.stem, read_image(file))
+    except InputError as error:
+        LOG.warning("%s: %s; going on without this texture", path, error)
+        return None

@@ -1,0 +1,128 @@
+"""Geometry that more than one room needs: numpy and scipy only, arrays in and out."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from treebake.model import Doubles, Floats, Ints
+
+
+def weld(positions: Floats, tolerance: float) -> Ints:
+    """Give vertices at the same place the same id: (V,) int32, ids 0..W-1.
+
+    positions: (V, 3), rounded to a grid of `tolerance` units, so that two vertices closer than that may still fall on
+    either side of a grid line; 0 welds exactly equal positions only. O(V log V).
+    """
+    keys = np.ascontiguousarray(positions, np.float32) + np.float32(0)  # + 0 turns -0 into 0
+    if tolerance > 0:
+        keys = np.rint(positions.astype(np.float64) / tolerance).astype(np.int64)
+    rows = keys.view(np.dtype((np.void, keys.dtype.itemsize * 3))).reshape(-1)
+    return np.unique(rows, return_inverse=True)[1].astype(np.int32)
+
+
+def components(links: Ints, count: int) -> Ints:
+    """Label what hangs together: (count,) int32 in 0..C-1, numbered by first appearance.
+
+    links: (L, K) ids in 0..count-1; all K ids of a row hang together, as the welded corners of a face do. O(L K).
+    """
+    first = np.repeat(links[:, :1], links.shape[1] - 1, axis=1).reshape(-1)
+    others = links[:, 1:].reshape(-1)
+    graph = coo_array((np.ones(len(first), np.int8), (first, others)), shape=(count, count))
+    labels: Ints = connected_components(graph, directed=False)[1].astype(np.int32)
+    return labels
+
+
+def triangulate(positions: Floats, corners: Ints, sizes: Ints) -> Ints:
+    """Split polygons into triangles in the same order: (sum of size - 2, 3) int32.
+
+    positions: (V, 3). corners: (sum of sizes,) int32 into positions, polygon after polygon. sizes: (P,) int32; one
+    below 3 gives nothing. Convex polygons become fans, vectorised; others are cut ear by ear, one at a time.
+    """
+    starts = np.cumsum(sizes) - sizes
+    counts = np.maximum(sizes - 2, 0)
+    targets = np.cumsum(counts) - counts
+    triangles = np.empty((int(counts.sum()), 3), np.int32)
+    for size in np.unique(sizes[sizes >= 3]):
+        which = np.flatnonzero(sizes == size)
+        polygons = corners[starts[which, None] + np.arange(size)]
+        fan = np.stack([np.zeros(size - 2, int), np.arange(1, size - 1), np.arange(2, size)], axis=1)
+        local = np.tile(fan, (len(which), 1, 1))
+        for i, outline in _concave(positions[polygons]):
+            local[i] = _ears(outline)
+        rows = targets[which, None] + np.arange(size - 2)
+        triangles[rows] = np.take_along_axis(polygons[:, None, :], local, axis=2)
+    return triangles
+
+
+def _concave(outlines: Floats) -> list[tuple[int, Doubles]]:
+    """The outlines (P, N, 3) that turn back somewhere: their number and (N, 2) projection to their own plane."""
+    points = outlines.astype(np.float64)
+    points -= points[:, :1]
+    following = np.roll(points, -1, axis=1)
+    normals = np.cross(points, following).sum(axis=1)
+    edges = following - points
+    turns = np.einsum("pni,pi->pn", np.cross(np.roll(edges, 1, axis=1), edges), normals)
+    scale = np.einsum("pi,pi->p", normals, normals)
+    found = np.flatnonzero((turns < -1e-6 * scale[:, None]).any(axis=1))
+    # The projection along the largest component of the normal, cyclic so that it keeps the winding up to its sign.
+    axes = np.abs(normals[found]).argmax(axis=1)
+    result = []
+    for i, axis in zip(found, axes, strict=True):
+        flat = points[i][:, [(axis + 1) % 3, (axis + 2) % 3]]
+        result.append((int(i), flat if normals[i, axis] > 0 else flat * (1, -1)))
+    return result
+
+
+def _ears(outline: Doubles) -> NDArray[np.int64]:
+    """Cut a counter-clockwise simple polygon (N, 2) into N - 2 triangles; O(N^3), for the few concave ones."""
+
+    def cross(a: int, b: int, c: int) -> float:
+        (ux, uy), (vx, vy) = outline[b] - outline[a], outline[c] - outline[a]
+        return float(ux * vy - uy * vx)
+
+    def is_ear(a: int, b: int, c: int) -> bool:
+        inside = (p for p in ring if p not in (a, b, c))
+        return cross(a, b, c) > 0 and not any(min(cross(a, b, p), cross(b, c, p), cross(c, a, p)) >= 0 for p in inside)
+
+    ring, ears = list(range(len(outline))), []
+    while len(ring) > 3:
+        corners = [(ring[i - 1], ring[i], ring[(i + 1) % len(ring)]) for i in range(len(ring))]
+        ear = next((corner for corner in corners if is_ear(*corner)), corners[1])
+        ears.append(ear)
+        ring.remove(ear[1])
+    return np.array([*ears, ring])
+
+
+def crease_normals(positions: Floats, faces: Ints, crease: float) -> tuple[Floats, Ints, Ints]:
+    """Area-weighted vertex normals, smooth except across edges that bend more than `crease` degrees.
+
+    positions: (V, 3). faces: (F, 3) int32. Vertices at the same place count as one, and a vertex on a crease is split.
+    Returns normals (N, 3) float32, unit (+Y where the area is zero), the vertex that each stems from (N,) int32, and
+    the faces re-indexed into these N: (F, 3) int32. O(F log F).
+    """
+    ids = weld(positions, 0)[faces]
+    a, b, c = (positions[faces[:, i]].astype(np.float64) for i in range(3))
+    areas = np.cross(b - a, c - a)
+    units = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-300)
+    corner = np.arange(faces.size).reshape(-1, 3)
+    # A half-edge runs between two corners of its face; those of one edge, sorted together, link up where smooth.
+    ends = np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2)
+    corners = np.stack([corner, np.roll(corner, -1, axis=1)], axis=2).reshape(-1, 2)
+    flipped = ends[:, 0] > ends[:, 1]
+    ends[flipped], corners[flipped] = ends[flipped, ::-1], corners[flipped, ::-1]
+    order = np.lexsort(ends.T)
+    ends, corners = ends[order], corners[order]
+    links = [np.zeros((0, 2), np.int64)]
+    for step in (1, 2, 3):  # enough for two coincident sheets, whose edges have four half-edges
+        near, far = corners[:-step], corners[step:]
+        smooth = np.einsum("ni,ni->n", units[near[:, 0] // 3], units[far[:, 0] // 3]) > np.cos(np.radians(crease))
+        joined = smooth & (ends[:-step] == ends[step:]).all(axis=1)
+        links += [np.stack([near[joined, i], far[joined, i]], axis=1) for i in range(2)]
+    groups = components(np.concatenate(links).astype(np.int32), faces.size)
+    sums = np.stack([np.bincount(groups, np.repeat(areas[:, i], 3)) for i in range(3)], axis=1)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    normals = np.where(lengths > 0, sums / np.maximum(lengths, 1e-300), (0, 1, 0))
+    pairs, inverse = np.unique(faces.reshape(-1).astype(np.int64) * (len(sums) + 1) + groups, return_inverse=True)
+    source, group = np.divmod(pairs, len(sums) + 1)
+    return normals[group].astype(np.float32), source.astype(np.int32), inverse.reshape(-1, 3).astype(np.int32)

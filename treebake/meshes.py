@@ -1,0 +1,165 @@
+"""Mesh files in: GLB, glTF, OBJ and PLY become one checked `Mesh`."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from treebake.errors import InputError, MeshError, SettingsError
+from treebake.formats.gltf import read_gltf
+from treebake.formats.obj import read_obj
+from treebake.formats.part import Part
+from treebake.formats.ply import read_ply
+from treebake.geometry import crease_normals
+from treebake.images import read_image
+from treebake.model import AlphaMode, Floats, Ints, Material, Mesh, Texture
+
+LOG = logging.getLogger("treebake")
+
+_READERS = {".glb": read_gltf, ".gltf": read_gltf, ".obj": read_obj, ".ply": read_ply}
+_CREASE = 60.0  # degrees; sharper edges stay hard where normals have to be computed
+_UP = np.array((0, 1, 0), np.float32)
+_SLIVER = 1e-7  # of the longest edge squared: twice the area below which a triangle counts as zero-area
+
+
+@dataclass(frozen=True)
+class LoadSettings:
+    """How a mesh file is read."""
+
+    up: str = "y"  # which axis of the file points up: "y" or "z"
+    textures: dict[str, str] = field(
+        default_factory=dict
+    )  # material name -> image file; from the mesh's folder or here
+
+
+def read_mesh(path: Path, settings: LoadSettings = LoadSettings()) -> Mesh:
+    """Read a GLB, glTF, OBJ or PLY file into one mesh, node transforms applied.
+
+    Missing normals are computed, missing uvs are zero, a missing material is grey and named after its node; zero-area
+    triangles are dropped. Linear in the size of the file.
+
+    Raises MeshError where the file is damaged, holds no triangles, non-finite vertices or indices out of range;
+    InputError where it is missing, of another format or needs a file outside its folder; UnsupportedError for a named
+    feature that is not read; SettingsError for an unknown axis, or a texture for an unknown material.
+    """
+    if settings.up not in ("y", "z"):
+        raise SettingsError(f'up = "{settings.up}" is unknown; give "y" or "z"')
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(f"{path} has no known mesh suffix; give a {', '.join(_READERS)} file")
+    try:
+        parts = reader(path)
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist; check the path") from error
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); check the path and its permissions") from error
+    mesh = _drop_slivers(path, _join(path, parts, settings.up))
+    if not mesh.triangles:
+        raise MeshError(f"{path} holds no triangles; export it with its faces")
+    return _complete_normals(_assign_textures(path, mesh, settings.textures))
+
+
+def _join(path: Path, parts: Sequence[Part], up: str) -> Mesh:
+    """One mesh of all parts; a missing normal is NaN."""
+    parts = [part for part in parts if len(part.faces)]
+    for part in parts:
+        if not 0 <= part.faces.min() <= part.faces.max() < len(part.positions):
+            raise MeshError(
+                f"{path}: a face of node {part.node} refers to a vertex that is not there (it has "
+                f"{len(part.positions)}); export it again"
+            )
+        if not np.isfinite(part.positions[part.faces]).all():
+            raise MeshError(f"{path}: node {part.node} has NaN or infinite vertices; repair and export it again")
+    materials: dict[int, tuple[int, Material]] = {}
+    nodes: dict[str, int] = {}
+    face_material, face_node = [], []
+    for part in parts:
+        material = part.material or Material(part.node, (0.5, 0.5, 0.5, 1.0), double_sided=True)
+        row, _ = materials.setdefault(id(material), (len(materials), material))
+        face_material.append(np.full(len(part.faces), row))
+        face_node.append(np.full(len(part.faces), nodes.setdefault(part.node, len(nodes))))
+    offsets = np.cumsum([0, *(len(part.positions) for part in parts)])
+    return Mesh(
+        positions=_upright(_stack([part.positions for part in parts], 3), up),
+        normals=_upright(_stack([_or(part.normals, part, 3, np.nan) for part in parts], 3), up),
+        uvs=np.nan_to_num(_stack([_or(part.uvs, part, 2, 0) for part in parts], 2), posinf=0, neginf=0),
+        faces=_stack([part.faces + offset for part, offset in zip(parts, offsets, strict=False)], 3).astype(np.int32),
+        face_material=np.concatenate([np.zeros(0), *face_material]).astype(np.int32),
+        face_node=np.concatenate([np.zeros(0), *face_node]).astype(np.int32),
+        materials=tuple(material for _, material in materials.values()),
+        nodes=tuple(nodes),
+    )
+
+
+def _stack(arrays: Sequence[Floats | Ints], width: int) -> Floats:
+    return np.concatenate([np.zeros((0, width), np.float32), *arrays]).astype(np.float32, copy=False)
+
+
+def _or(values: Floats | None, part: Part, width: int, default: float) -> Floats:
+    return np.full((len(part.positions), width), default, np.float32) if values is None else values
+
+
+def _upright(vectors: Floats, up: str) -> Floats:
+    if up == "y":
+        return vectors
+    x, y, z = vectors.T
+    return np.stack([x, z, -y], axis=1)
+
+
+def _drop_slivers(path: Path, mesh: Mesh) -> Mesh:
+    a, b, c = (mesh.positions[mesh.faces[:, i]].astype(np.float64) for i in range(3))
+    longest = np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0, initial=0)
+    kept = 2 * mesh.face_areas > _SLIVER * longest
+    if kept.all():
+        return mesh
+    LOG.info("%s: left out %d zero-area triangles", path, np.count_nonzero(~kept))
+    return mesh.select(kept)
+
+
+def _complete_normals(mesh: Mesh) -> Mesh:
+    """Unit normals; computed for the faces on vertices where they are missing, zero or not finite."""
+    lengths = np.linalg.norm(mesh.normals, axis=1, keepdims=True)
+    usable = np.isfinite(lengths[:, 0]) & (lengths[:, 0] > 0)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        normals = mesh.normals / lengths
+    bare = ~usable[mesh.faces].all(axis=1)
+    if not bare.any():
+        return replace(mesh, normals=normals)
+    computed, source, bare_faces = crease_normals(mesh.positions, mesh.faces[bare], _CREASE)
+    faces = mesh.faces.copy()
+    faces[bare] = bare_faces + len(mesh.positions)
+    return replace(
+        mesh,
+        positions=np.concatenate([mesh.positions, mesh.positions[source]]),
+        normals=np.concatenate([np.where(usable[:, None], normals, _UP), computed]),
+        uvs=np.concatenate([mesh.uvs, mesh.uvs[source]]),
+        faces=faces,
+    ).select(np.ones(len(faces), bool))
+
+
+def _assign_textures(path: Path, mesh: Mesh, files: dict[str, str]) -> Mesh:
+    """The mesh with colour maps from the settings, as they are: white base colour, cut out where they have alpha."""
+    names = [material.name for material in mesh.materials]
+    for name in files:
+        if name not in names:
+            raise SettingsError(f"{path} has no material {name} to texture; it has {', '.join(names)}")
+    textures = {file: _find_texture(path, file) for file in sorted(set(files.values()))}
+    materials = []
+    for material in mesh.materials:
+        texture = textures.get(files.get(material.name, ""))
+        if texture is not None:
+            mode = AlphaMode.MASK if texture.has_alpha else AlphaMode.OPAQUE
+            material = replace(material, color_map=texture, base_color=(1.0, 1.0, 1.0, 1.0), alpha_mode=mode)
+        materials.append(material)
+    return replace(mesh, materials=tuple(materials))
+
+
+def _find_texture(path: Path, file: str) -> Texture | None:
+    candidates = [path.parent / file, Path(file)]
+    found = next((candidate for candidate in candidates if candidate.is_file()), None)
+    if found is None:
+        LOG.warning("%s: its texture %s is missing; put it beside the mesh", path, file)
+        return None
+    return Texture(found.stem, read_image(found))
