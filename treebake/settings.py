@@ -148,15 +148,14 @@ def _nearest(name: str, known: Mapping[str, Any]) -> str:
 
 
 def _comments(settings: type[Any]) -> dict[str, str]:
-    """The trailing comment of each field, with the comment lines that follow it."""
+    """The comment of each field: on its line or, where it is written over several, up to the next field."""
     found: dict[str, str] = {}
-    last = ""
+    name = ""
     for line in inspect.getsource(settings).splitlines():
-        if start := re.match(r"    (\w+)\s*:[^#]*(?:#\s*(.*))?$", line):
-            last = start[1]
-            found[last] = start[2] or ""
-        elif last and (more := re.match(r"\s+#\s*(.*)", line)):
-            found[last] = f"{found[last]} {more[1]}".strip()
+        if declared := re.match(r"    (\w+):", line):
+            name = declared[1]
+        if name and (comment := re.search(r"#\s*(.*)", line)):
+            found[name] = f"{found.get(name, '')} {comment[1]}".strip()
     return found
 
 

@@ -163,7 +163,7 @@ class _Encoder:
 
 
 def _read_header(path: Path) -> dict[str, Any]:
-    with np.load(path, allow_pickle=False) as file:
+    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
         header: dict[str, Any] = json.loads(file["arr_0"].tobytes())
         return header
 
@@ -171,7 +171,7 @@ def _read_header(path: Path) -> dict[str, Any]:
 def _read_value(path: Path) -> Any:
     try:
         structure = _read_header(path)["structure"]
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             return _decode(structure, [file[name] for name in file.files[1:]])
     except _DAMAGED as error:
         raise WorkspaceError(f"{path} is damaged; run the command that made it again with --force") from error
