@@ -3,7 +3,7 @@
 A leaf image is a few blades: a lanceolate, lobed or toothed outline with veins. The bark is periodic noise, stretched.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ class Blade:
     roundness: float = 0.8  # < 1 is blunt, > 1 is pointed
     teeth: int = 0
     tooth: float = 0.0  # depth, part of the width
+    lobed: bool = False  # round lobes in place of sharp teeth
     veins: int = 12
     colour: tuple[int, int, int] = (86, 118, 44)  # sRGB
 
@@ -39,6 +40,7 @@ class Canvas:
         self.rng = np.random.default_rng(seed)
 
     def paint(self, where, colour) -> None:
+        """Cover the texels `where` with a colour each."""
         self.colour[where] = np.clip(colour, 0, 255)[where]
         self.covered |= where
 
@@ -55,8 +57,8 @@ class Canvas:
         along, across = self.frame(foot, (np.sin(angle), np.cos(angle)))
         y, x = along / length, across / length
         t = np.clip(y, 0, 1)
-        saw = (t * blade.teeth) % 1 if blade.teeth else 0
-        outline = blade.width / 2 * np.sin(np.pi * t**blade.belly) ** blade.roundness * (1 - blade.tooth * saw)
+        notch = 0.5 + 0.5 * np.cos(2 * np.pi * t * blade.teeth) if blade.lobed else (t * blade.teeth) % 1
+        outline = blade.width / 2 * np.sin(np.pi * t**blade.belly) ** blade.roundness * (1 - blade.tooth * notch)
         inside = (y > 0) & (y < 1) & (np.abs(x) < outline)
         side = np.abs(x)
         rib = np.exp(-((side / 0.012) ** 2))
@@ -86,29 +88,30 @@ class Canvas:
         write_png(FOLDER / f"{name}.png", np.rint(rgba).astype(np.uint8))
 
 
-def spray(name: str, seed: int, blade: Blade, length: float, pairs: int, stalk=(104, 84, 56)) -> None:
-    """Blades in alternate pairs along a twig, the last at its tip."""
+def spray(
+    name: str, seed: int, leaf, length: float, pairs: int, *, alternate: float = 0.03, spread: float = 72
+) -> None:
+    """Leaves in pairs along a twig, the last at its tip; leaf(canvas, foot, degrees, length) draws one."""
     canvas = Canvas(256, 256, seed)
-    top = 1 - length
-    canvas.line((0, 0), (0, top + 0.02), 0.01, stalk)
+    top = 0.98 - length
+    canvas.line((0, 0), (0, top + 0.02), 0.01, (104, 84, 56))
     for i in range(pairs):
-        height = top * (0.12 + 0.88 * i / pairs)
+        height = 0.1 + (top - 0.06) * i / pairs
         for side in (-1, 1):
-            foot = (0, height + side * 0.03)
-            degrees = side * (72 - 30 * i / pairs + canvas.rng.normal(0, 5))
-            canvas.blade(foot, degrees, min(length, 0.49), blade)
-    canvas.blade((0, top), canvas.rng.normal(0, 4), length * 0.98, blade)
+            degrees = side * (spread - 30 * i / pairs + canvas.rng.normal(0, 4))
+            leaf(canvas, (0, height + side * alternate), degrees, min(length, 0.49))
+    leaf(canvas, (0, top), canvas.rng.normal(0, 4), length)
     canvas.save(name)
 
 
-def palmate(name: str, seed: int, blade: Blade, foot: float, arms, stalk) -> None:
-    """Blades that spread from one point; arms are (degrees, length)."""
-    canvas = Canvas(256, 256, seed)
-    canvas.line((0, 0), (0, foot + 0.03), 0.01, stalk)
-    for degrees, length in arms:
-        for side in (-1, 1) if degrees else (1,):
-            canvas.blade((0, foot), side * degrees, length, blade)
-    canvas.save(name)
+def palmate(canvas: Canvas, foot, degrees: float, length: float, blade: Blade, stalk: float, arms) -> None:
+    """Blades that spread from the end of a stalk; arms are (degrees, part of the length), to both sides."""
+    heading = np.array([np.sin(np.deg2rad(degrees)), np.cos(np.deg2rad(degrees))])
+    middle = foot + heading * length * stalk
+    canvas.line(foot, middle + heading * length * 0.03, 0.009, (128, 124, 66))
+    for arm, part in arms:
+        for side in (-1, 1) if arm else (1,):
+            canvas.blade(middle, degrees + side * arm, part * length, blade)
 
 
 def bark(name: str, seed: int, dark, light, grain: tuple[float, float], furrow: float, size: int = 256) -> None:
@@ -131,25 +134,32 @@ def bark(name: str, seed: int, dark, light, grain: tuple[float, float], furrow: 
 
 def main() -> None:
     """Draw every image."""
-    green_stalk = (120, 132, 66)
-    chestnut = Canvas(128, 256, 1)
-    chestnut.line((0, 0), (0, 0.1), 0.009, green_stalk)
-    chestnut.blade((0, 0.08), 0, 0.91, Blade(0.38, 0.85, 0.8, teeth=17, tooth=0.22, veins=17, colour=(88, 124, 44)))
-    chestnut.save("leaf_chestnut")
+    canvas = Canvas(128, 256, 1)
+    canvas.line((0, 0), (0, 0.1), 0.009, (120, 132, 66))
+    canvas.blade((0, 0.08), 0, 0.91, Blade(0.38, 0.85, 0.8, teeth=17, tooth=0.22, veins=17, colour=(88, 124, 44)))
+    canvas.save("leaf_chestnut")
 
-    finger = Blade(0.36, 1.55, 0.9, teeth=22, tooth=0.08, veins=16, colour=(70, 108, 40))
-    arms = [(128, 0.3), (86, 0.4), (43, 0.47), (0, 0.5)]
-    palmate("leaf_horse-chestnut", 2, finger, 0.48, arms, green_stalk)
-    lobe = Blade(0.62, 0.85, 0.95, teeth=5, tooth=0.3, veins=9, colour=(104, 136, 48))
-    palmate("leaf_maple", 3, lobe, 0.22, [(118, 0.3), (55, 0.56), (0, 0.77)], (140, 84, 60))
+    canvas = Canvas(256, 256, 2)
+    finger = Blade(0.44, 1.6, 0.9, teeth=22, tooth=0.08, veins=16, colour=(70, 108, 40))
+    palmate(canvas, (0, 0), 0, 1, finger, 0.49, [(130, 0.3), (88, 0.4), (44, 0.47), (0, 0.5)])
+    canvas.save("leaf_horse-chestnut")
 
-    oak = Blade(0.5, 1.25, 0.75, teeth=5, tooth=0.42, veins=10, colour=(78, 104, 38))
-    spray("leaf_oak", 4, oak, 0.5, 3)
-    cork = Blade(0.42, 0.95, 0.75, teeth=6, tooth=0.1, veins=12, colour=(92, 108, 62))
-    spray("leaf_cork", 5, cork, 0.36, 4)
-    alder = Blade(0.8, 0.95, 0.55, teeth=16, tooth=0.06, veins=13, colour=(66, 102, 40))
-    spray("leaf_alder", 6, alder, 0.42, 3)
-    spray("leaf_shrub", 7, replace(alder, width=0.5, teeth=0, roundness=0.9, colour=(98, 132, 58)), 0.32, 5)
+    def simple(blade: Blade):
+        return lambda canvas, foot, degrees, length: canvas.blade(foot, degrees, length, blade)
+
+    def maple(canvas: Canvas, foot, degrees: float, length: float) -> None:
+        lobe = Blade(0.56, 0.9, 0.85, teeth=4, tooth=0.35, veins=8, colour=(104, 136, 48))
+        palmate(canvas, foot, degrees, length, lobe, 0.28, [(108, 0.36), (52, 0.6), (0, 0.72)])
+
+    spray("leaf_maple", 3, maple, 0.5, 2, alternate=0, spread=80)
+    oak = Blade(0.52, 1.25, 0.6, teeth=4, tooth=0.4, lobed=True, veins=8, colour=(78, 104, 38))
+    spray("leaf_oak", 4, simple(oak), 0.46, 3)
+    cork = Blade(0.46, 0.95, 0.7, teeth=6, tooth=0.1, veins=12, colour=(92, 108, 62))
+    spray("leaf_cork", 5, simple(cork), 0.38, 4)
+    alder = Blade(0.78, 0.95, 0.55, teeth=16, tooth=0.06, veins=12, colour=(66, 102, 40))
+    spray("leaf_alder", 6, simple(alder), 0.34, 3)
+    shrub = Blade(0.52, 0.95, 0.8, veins=9, colour=(98, 132, 58))
+    spray("leaf_shrub", 7, simple(shrub), 0.34, 5)
 
     bark("bark_furrowed", 11, (52, 42, 34), (132, 116, 98), (9, 2.2), 0.8)
     bark("bark_cork", 12, (58, 44, 36), (158, 140, 120), (7, 3.5), 1.0)
