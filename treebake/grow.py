@@ -252,7 +252,7 @@ def _tubes(stems: list[_Stems], plan: Species) -> tuple[Floats, Floats, Floats, 
         vertex = first + np.arange(positions[..., 0].size).reshape(positions.shape[:3])
         first += vertex.size
         a, b, c, d = vertex[:, :-1, :-1], vertex[:, :-1, 1:], vertex[:, 1:, 1:], vertex[:, 1:, :-1]
-        faces = np.stack([a, c, b, a, d, c], axis=-1)
+        faces = np.stack([a, b, c, a, c, d], axis=-1)
         parts.append((positions.reshape(-1, 3), normals.reshape(-1, 3), uvs.reshape(-1, 2), faces.reshape(-1, 3)))
     positions, normals, uvs, faces = (np.concatenate(part) for part in zip(*parts, strict=True))
     return positions.astype(np.float32), normals.astype(np.float32), uvs.astype(np.float32), faces.astype(np.int32)
