@@ -7,7 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import OpenImageIO as oiio
+import OpenImageIO as oiio  # noqa: N813 - the name its documentation uses
 
 from treebake.errors import InputError, WorkspaceError
 from treebake.model import Bytes, Floats
@@ -78,14 +78,23 @@ def to_srgb(linear: Floats) -> Bytes:
     """Encode linear 0..1 to sRGB uint8; values outside are clipped."""
     x = np.clip(linear, 0, 1)
     encoded = np.where(x <= 0.0031308, x * 12.92, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
-    return np.rint(encoded * 255).astype(np.uint8)
+    return np.asarray(np.rint(encoded * 255), np.uint8)
+
+
+def bleed(pixels: Floats) -> Floats:
+    """Fill what the coverage leaves open with the colours around it, by push-pull (Gortler et al. 1996).
+
+    pixels: (h, w, 4) float32, premultiplied by its last channel. Returns (h, w, 3) float32, defined everywhere.
+    """
+    filled = oiio.ImageBufAlgo.fillholes_pushpull(_buffer(pixels))
+    result = np.asarray(filled.get_pixels(oiio.FLOAT), np.float32)
+    return np.asarray(result[..., :3] / np.maximum(result[..., 3:], 1e-6), np.float32)
 
 
 def flip_error(reference: Floats, test: Floats) -> Floats:
     """LDR-FLIP error map of two linear (h, w, 3) float32 images at 67 pixels per degree: (h, w) float32 in 0..1."""
     result = oiio.ImageBufAlgo.FLIP_diff(_buffer(reference), _buffer(test), hdr=0)
-    error: Floats = result.get_pixels(oiio.FLOAT)[..., 0]
-    return error
+    return np.asarray(result.get_pixels(oiio.FLOAT), np.float32)[..., 0]
 
 
 def _buffer(pixels: Floats) -> "oiio.ImageBuf":

@@ -1,0 +1,1 @@
+"""Everything that draws: moderngl stays in here."""

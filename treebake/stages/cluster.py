@@ -45,7 +45,7 @@ def cluster(leaves: Leaves, settings: ClusterSettings) -> Clusters:
     """
     _check(settings)
     if not leaves.count:
-        raise MeshError("there are no leaves to cluster; name the foliage in the configuration ([split] foliage_materials)")
+        raise MeshError("there are no leaves to cluster; name the foliage with [split] foliage_materials")
     origin = leaves.centers.mean(axis=0)  # centred, so that p p^T keeps its digits
     features = _features(leaves, origin, settings.angle_weight)
     weights = leaves.areas / leaves.areas.mean()  # an error counts for as much as is seen of it

@@ -1,0 +1,63 @@
+"""What manifest.json says; these types are its schema."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+FORMAT = 1  # raised when a reader of the number before could misread the files
+
+
+@dataclass(frozen=True)
+class Source:
+    """The mesh that the asset was baked from. bounds: least and greatest corner, in the source's unit, Y up."""
+
+    triangles: int
+    bounds: tuple[tuple[float, float, float], tuple[float, float, float]]
+
+
+@dataclass(frozen=True)
+class Level:
+    """One self-contained GLB with standard materials. bytes: of the file. min_height: the height on screen, in pixels
+    of the tree's bounding sphere, from which on this level is meant to be drawn.
+    """
+
+    file: str
+    representations: tuple[str, ...]  # of "cloud" and "trunk"
+    billboards: int  # planes
+    foliage_triangles: int
+    trunk_triangles: int
+    bytes: int
+    min_height: int
+
+
+@dataclass(frozen=True)
+class Image:
+    """A loose copy of a texture, for engines. size: width and height in texels."""
+
+    file: str
+    size: tuple[int, int]
+    color_space: str  # "sRGB" or "linear"
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The whole of manifest.json. Paths are relative to it; levels go from near to far."""
+
+    format: int
+    generator: str
+    name: str
+    source: Source
+    levels: tuple[Level, ...]
+    textures: tuple[Image, ...]
+
+
+@dataclass(frozen=True)
+class Asset:
+    """A published asset on disk."""
+
+    folder: Path
+    manifest: Manifest
+
+    @property
+    def level_paths(self) -> tuple[Path, ...]:
+        """The GLB of every level, from near to far."""
+        return tuple(self.folder / level.file for level in self.manifest.levels)

@@ -1,0 +1,35 @@
+// Draws flattened leaves straight into the atlas: position is in texels, row 0 first.
+#ifdef VERTEX_STAGE
+in vec3 in_position;  // atlas x and y in texels, depth in -1..1 (1 in front)
+in vec2 in_uv;
+in vec3 in_normal;  // the source's normal in the card's frame (right, up, towards the viewer)
+uniform vec4 window;  // the part of the atlas that this tile shows: x, y, width, height in texels
+out vec2 uv;
+out vec3 normal;
+
+void main() {
+    vec2 place = (in_position.xy - window.xy) / window.zw * 2.0 - 1.0;
+    gl_Position = vec4(place, -in_position.z, 1.0);
+    uv = in_uv;
+    normal = in_normal;
+}
+#endif
+
+#ifdef FRAGMENT_STAGE
+in vec2 uv;
+in vec3 normal;
+uniform sampler2D color_map;
+uniform vec4 base_color;
+uniform float alpha_cutoff;  // 0 where the material is opaque
+layout(location = 0) out vec4 out_color;
+layout(location = 1) out vec4 out_normal;
+
+void main() {
+    vec4 color = texture(color_map, uv) * base_color;
+    if (color.a < alpha_cutoff) discard;
+    // Rows run downwards in the atlas and upwards in GL's window, which turns every winding round.
+    vec3 facing = gl_FrontFacing ? -normal : normal;
+    out_color = vec4(color.rgb, 1.0);
+    out_normal = vec4(normalize(facing), 1.0);
+}
+#endif

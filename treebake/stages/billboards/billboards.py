@@ -1,0 +1,162 @@
+"""The billboard cloud as every glTF viewer draws it: flat cards with one alpha-masked atlas ([GSSK05])."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from treebake.errors import SettingsError
+from treebake.gl.bake import FlatTriangles, bake_atlas
+from treebake.images import bleed, to_srgb
+from treebake.model import (
+    AlphaMode,
+    BillboardCloud,
+    Bytes,
+    Clusters,
+    Doubles,
+    Floats,
+    Ints,
+    Material,
+    Mesh,
+    Texture,
+    Tree,
+)
+from treebake.stages.billboards.cards import Cards, cut_cards
+from treebake.stages.billboards.coverage import preserve_coverage
+from treebake.stages.billboards.flatten import FlatLeaves, flatten, plane_frames
+from treebake.stages.billboards.packing import pack, texel_sizes
+
+_MIP_LEVELS = 5  # whose coverage is kept; one texel of the last is 32 x 32 of the atlas, about a whole card
+
+
+@dataclass(frozen=True)
+class BillboardSettings:
+    """How clusters become cards and an atlas."""
+
+    atlas: int = 2048  # greatest side of the atlas in texels, a power of two, 64 to 16384
+    leaf_texels: float = 48.0  # texels across a leaf's mean diameter that are enough, > 0; a smaller atlas is then used
+    triangles: int = 4000  # of all cards, at most; one card per plane is always made
+    padding: int = 2  # texels kept free around each card, 1 or more
+    supersample: int = 4  # samples per texel each way, 1 to 8
+    cutoff: float = 0.4  # alphaCutoff of the cards, 0.1 to 0.9
+
+
+def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> BillboardCloud:
+    """Flatten, cut, pack, draw: the tree's leaves on textured cards. O(faces + texels).
+
+    Raises SettingsError where a setting is out of range and BudgetError where the cards exceed the atlas.
+    """
+    _check(settings)
+    flat = flatten(tree.foliage, tree.leaves, clusters)
+    density_limit = settings.leaf_texels / (2 * float(tree.leaves.radii.mean()))
+    margin = settings.padding * _density_guess(tree, settings) ** -1
+    cards = cut_cards(flat, clusters.labels, settings.triangles // 2, margin)
+    origins, density, size = pack(cards.sizes, settings.atlas, density_limit, settings.padding)
+    triangles = _placed(tree.foliage, flat, cards, origins, density)
+    color, normal = bake_atlas(triangles, tree.foliage.materials, size, settings.supersample)
+    material = Material(
+        name="foliage",
+        color_map=Texture("foliage_color", _color_texels(color, settings.cutoff)),
+        normal_map=Texture("foliage_normal", _normal_texels(normal, color[..., 3])),
+        alpha_mode=AlphaMode.MASK,
+        alpha_cutoff=settings.cutoff,
+        double_sided=True,
+    )
+    return _cloud(cards, clusters, origins, density, size, settings.padding, material)
+
+
+def _check(settings: BillboardSettings) -> None:
+    power_of_two = settings.atlas > 0 and settings.atlas & (settings.atlas - 1) == 0
+    for name, valid, hint in (
+        ("atlas", power_of_two and 64 <= settings.atlas <= 16384, "a power of two from 64 to 16384"),
+        ("leaf_texels", settings.leaf_texels > 0, "above 0"),
+        ("triangles", settings.triangles >= 2, "2 or more"),
+        ("padding", settings.padding >= 1, "1 or more"),
+        ("supersample", 1 <= settings.supersample <= 8, "1 to 8"),
+        ("cutoff", 0.1 <= settings.cutoff <= 0.9, "0.1 to 0.9"),
+    ):
+        if not valid:
+            raise SettingsError(f"[textures] {name} is {getattr(settings, name)}; it must be {hint}")
+
+
+def _density_guess(tree: Tree, settings: BillboardSettings) -> float:
+    """Texels per unit to expect, before the cards are known: half of the atlas holds leaves."""
+    budget = settings.atlas**2 / 2 / float((4 * tree.leaves.radii**2).sum())
+    return float(min(settings.leaf_texels / (2 * tree.leaves.radii.mean()), np.sqrt(budget)))
+
+
+def _placed(foliage: Mesh, flat: FlatLeaves, cards: Cards, origins: Ints, density: float) -> FlatTriangles:
+    """The flat triangles in atlas texels. Rows run downwards, a card's vertical axis upwards."""
+    card = cards.leaf_card[flat.leaf]
+    right, up = cards.right[card], cards.right[card] @ np.array([[0.0, 1.0], [-1.0, 0.0]])
+    along = np.stack([_dot(flat.corners, right), _dot(flat.corners, up)], axis=-1)
+    offset = np.stack([along[..., 0] - cards.low[card, None, 0], cards.high[card, None, 1] - along[..., 1]], axis=-1)
+    texels = origins[card][:, None, :] + offset * density
+    depth = flat.depth / (np.abs(flat.depth).max() * 1.001 + 1e-30)
+    normals = np.stack(
+        [_dot(flat.normals[..., :2], right), _dot(flat.normals[..., :2], up), flat.normals[..., 2]], axis=-1
+    )
+    return FlatTriangles(
+        positions=np.concatenate([texels, depth[..., None]], axis=-1).astype(np.float32),
+        uvs=foliage.uvs[foliage.faces[flat.face]],
+        normals=normals.astype(np.float32),
+        material=foliage.face_material[flat.face],
+    )
+
+
+def _dot(corners: Doubles, axis: Doubles) -> Doubles:
+    return np.asarray(np.einsum("mki,mi->mk", corners, axis))
+
+
+def _color_texels(color: Floats, cutoff: float) -> Bytes:
+    """sRGB and alpha, with colour bled under the transparent texels so that no mip mixes in black."""
+    texels = np.empty(color.shape, np.uint8)
+    texels[..., :3] = to_srgb(bleed(color))
+    alpha = preserve_coverage(color[..., 3], cutoff, _MIP_LEVELS)
+    texels[..., 3] = np.rint(alpha * 255)
+    return texels
+
+
+def _normal_texels(normal: Floats, coverage: Floats) -> Bytes:
+    """Tangent-space normals as glTF packs them, bled like the colour; a card shows no normal that points away."""
+    spread = bleed(np.concatenate([normal, coverage[..., None]], axis=2))
+    spread[..., 2] = np.maximum(spread[..., 2], 0.05)
+    spread /= np.linalg.norm(spread, axis=2, keepdims=True)
+    texels = np.full((*coverage.shape, 4), 255, np.uint8)
+    texels[..., :3] = np.rint((spread * 0.5 + 0.5) * 255)
+    return texels
+
+
+def _cloud(
+    cards: Cards,
+    clusters: Clusters,
+    origins: Ints,
+    density: float,
+    size: tuple[int, int],
+    padding: int,
+    material: Material,
+) -> BillboardCloud:
+    """Two triangles per card; a card reaches `padding` texels past its leaves, where mips spread them."""
+    count = len(cards.plane)
+    frames = plane_frames(clusters.normals)[cards.plane]
+    foot = -clusters.offsets[cards.plane, None] * clusters.normals[cards.plane]  # the plane's point nearest the origin
+    right = np.einsum("ci,cij->cj", cards.right, frames[:, :2])
+    up = np.cross(clusters.normals[cards.plane], right)
+    # Left bottom, right bottom, right top, left top, in whole texels from the content's top left.
+    content = texel_sizes(cards.sizes, density)
+    steps = np.array([[0, 1], [1, 1], [1, 0], [0, 0]])
+    texels = steps * (content[:, None, :] + 2 * padding) - padding
+    along = cards.low[:, None, 0] + texels[..., 0] / density
+    above = cards.high[:, None, 1] - texels[..., 1] / density
+    positions = foot[:, None, :] + along[..., None] * right[:, None, :] + above[..., None] * up[:, None, :]
+    quads = np.arange(count, dtype=np.int32)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    mesh = Mesh(
+        positions=positions.reshape(-1, 3).astype(np.float32),
+        normals=clusters.normals[cards.plane].repeat(4, axis=0).astype(np.float32),
+        uvs=((origins[:, None, :] + texels) / np.array(size)).reshape(-1, 2).astype(np.float32),
+        faces=quads.reshape(-1, 3),
+        face_material=np.zeros(2 * count, np.int32),
+        face_node=np.zeros(2 * count, np.int32),
+        materials=(material,),
+        nodes=("foliage",),
+    )
+    return BillboardCloud(mesh=mesh, face_cluster=cards.plane.repeat(2).astype(np.int32))
