@@ -4,6 +4,10 @@ Colour maps are sRGB textures whose mipmaps the driver makes at load, filtered t
 anisotropy. MASK is tested per pixel at the material's cutoff, OPAQUE ignores alpha, and BLEND is drawn last, its
 triangles sorted back to front by centroid within each material. Single-sided materials show front faces only; the
 back of a double-sided one has its normal reversed. Edges are smoothed by 4 samples a pixel.
+
+A client's mipmaps thin MASK leaves as they shrink: a chestnut of textured leaves 128 pixels high keeps a third of the
+area that it covers close by. So what a tree *is*, as against what a client makes of it, is drawn with `exact_cutouts`:
+the unfiltered alpha is tested at each of a pixel's samples, just as the edge of a modelled leaf would be.
 """
 
 from dataclasses import dataclass
@@ -29,11 +33,13 @@ class View:
     """Where from and how large: a square picture.
 
     to_clip: (4, 4) float64, takes a world position (column) to OpenGL clip space, whose w is the depth along the
-    optical axis. size: pixels a side.
+    optical axis. size: pixels a side. near, far: the depths between which it sees.
     """
 
     to_clip: Doubles
     size: int
+    near: float
+    far: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +55,21 @@ class Picture:
     depth: Floats
 
 
+def renderer() -> str:
+    """Name and version of the OpenGL in use; pictures are alike only where these are."""
+    info = context().info
+    return f"{info['GL_RENDERER']}, OpenGL {info['GL_VERSION']}"
+
+
 class Drawing:
     """A mesh on the graphics card, ready to be drawn from many views until `close`.
 
     Raises GraphicsError where there is no OpenGL, or a texture is larger than the driver takes.
     """
 
-    def __init__(self, mesh: Mesh) -> None:
+    def __init__(self, mesh: Mesh, *, exact_cutouts: bool = False) -> None:
         self._gl = context()
+        self._exact_cutouts = exact_cutouts
         self._owned: list[Any] = []  # in the order of making
         self._targets: dict[int, _Target] = {}
         self._textures: dict[tuple[int, bool], moderngl.Texture] = {}
@@ -92,7 +105,9 @@ class Drawing:
         self._check()
         color, depth = target.read()
         alpha = color[..., 3]
-        return Picture(color, np.divide(depth, alpha, out=np.zeros_like(depth), where=alpha > 0))
+        # Interpolated across a sliver seen edge-on, a depth can be anything.
+        depth = np.clip(depth / np.where(alpha > 0, alpha, 1), view.near, view.far)
+        return Picture(color, np.where(alpha > 0, depth, 0).astype(np.float32))
 
     def fragments(self, view: View) -> float:
         """How many fragments the view asks to be shaded, whether or not they end up hidden or cut out."""
@@ -172,6 +187,7 @@ class Drawing:
         lit["base_color"] = material.base_color
         lit["alpha_mode"] = _ALPHA_MODES[material.alpha_mode]
         lit["alpha_cutoff"] = material.alpha_cutoff
+        lit["exact_cutouts"] = self._exact_cutouts
         lit["has_normal_map"] = material.normal_map is not None
         lit["color_map"], lit["normal_map"] = 0, 1
         self._texture(material.color_map or _WHITE, srgb=True).use(0)

@@ -58,7 +58,7 @@ class Camera:
                 [0.0, 0.0, -1.0, 0.0],
             ]
         )
-        return View(to_clip @ to_eye, size)
+        return View(to_clip @ to_eye, size, near, far)
 
 
 def cameras(mesh: Mesh, elevations: Sequence[float], azimuths: int) -> tuple[Camera, ...]:

@@ -1,6 +1,10 @@
 // Draws glTF materials as a stock real-time client does: Lambert under one sun and a two-colour sky, out in linear light.
 // Lights stand still in the world, so a tree is seen lit from all sides as the camera goes round.
 
+#ifdef FRAGMENT_STAGE
+#extension GL_ARB_sample_shading : require  // for gl_SampleMask
+#endif
+
 #ifdef VERTEX_STAGE
 uniform mat4 to_clip;
 
@@ -38,11 +42,12 @@ uniform sampler2D normal_map;
 uniform bool has_normal_map;
 uniform int alpha_mode;
 uniform float alpha_cutoff;
+uniform bool exact_cutouts;  // cut MASK out as if the leaf were modelled, not as a client with mipmaps does
 
 in vec3 position;
 in vec3 normal;
 in vec2 uv;
-centroid in float range;  // at a pixel's centre, outside a sliver seen edge-on, it would be anything
+centroid in float range;  // extrapolated to a pixel's centre it would run off
 
 layout(location = 0) out vec4 color;  // premultiplied
 layout(location = 1) out vec4 depth;  // premultiplied, along the optical axis; only x is kept
@@ -68,12 +73,32 @@ vec3 bumped(vec3 facing, float side, vec3 bump) {
     return normalize(side * (tangent * bump.x + bitangent * bump.y) + facing * bump.z);
 }
 
+// Where a pixel's 4 samples lie, from its centre: the standard pattern.
+const vec2 SAMPLES[4] = vec2[](vec2(-0.125, -0.375), vec2(0.375, -0.125), vec2(-0.375, 0.125), vec2(0.125, 0.375));
+
+// Tests the unfiltered alpha at each sample: returns the mean colour of those that pass, and their bits in `passed`.
+vec4 cut_out(out int passed) {
+    vec2 uv_dx = dFdx(uv);
+    vec2 uv_dy = dFdy(uv);
+    vec4 sum = vec4(0.0);
+    passed = 0;
+    for (int i = 0; i < 4; i++) {
+        vec4 texel = base_color * textureLod(color_map, uv + SAMPLES[i].x * uv_dx + SAMPLES[i].y * uv_dy, 0.0);
+        if (texel.a < alpha_cutoff) continue;
+        sum += vec4(texel.rgb, 1.0);
+        passed |= 1 << i;
+    }
+    return sum / max(sum.a, 1.0);
+}
+
 void main() {
     float side = gl_FrontFacing ? 1.0 : -1.0;
     vec4 albedo = base_color * texture(color_map, uv);
     vec3 facing = side * normalize(normal);
     if (has_normal_map) facing = bumped(facing, side, texture(normal_map, uv).xyz * 2.0 - 1.0);
-    if (alpha_mode == MASK && albedo.a < alpha_cutoff) discard;
+    gl_SampleMask[0] = ~0;
+    if (alpha_mode == MASK && exact_cutouts) albedo = cut_out(gl_SampleMask[0]);
+    else if (alpha_mode == MASK && albedo.a < alpha_cutoff) discard;
 
     vec3 light = SUN * max(dot(facing, SUN_DIRECTION), 0.0) + mix(GROUND, SKY, 0.5 + 0.5 * facing.y);
     float alpha = alpha_mode == BLEND ? albedo.a : 1.0;

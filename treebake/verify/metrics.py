@@ -1,0 +1,97 @@
+"""How far one picture is from another: FLIP, SSIM, silhouette, coverage, depth."""
+
+from collections.abc import Iterable
+from dataclasses import astuple, dataclass
+
+import numpy as np
+from scipy.ndimage import correlate1d
+
+from treebake.gl.draw import Picture
+from treebake.images import flip_error, to_srgb
+from treebake.model import Doubles, Floats, Mesh
+
+SKY, GREY = (0.55, 0.72, 0.92), (0.18, 0.18, 0.18)  # the backgrounds, linear light
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """What was measured in each of n views, every field (n,) float64.
+
+    flip, ssim: means over the window and both backgrounds. iou: of the silhouettes. area: pixels that the candidate
+    covers. foliage_area: the same, outside the source's trunk. depth: mean difference, in the mesh's unit, over the
+    pixels that both cover; NaN where there are none.
+    """
+
+    flip: Doubles
+    ssim: Doubles
+    iou: Doubles
+    area: Doubles
+    foliage_area: Doubles
+    depth: Doubles
+
+    @classmethod
+    def gather(cls, views: Iterable["Scores"]) -> "Scores":
+        """Put single views together."""
+        return cls(*(np.concatenate(column) for column in zip(*map(astuple, views), strict=True)))
+
+
+def score(source: Picture, candidate: Picture, trunk: Floats) -> Scores:
+    """Compare a candidate's picture with the source's; trunk: (h, w) float32, how much of a pixel the trunk covers."""
+    ours, theirs = candidate.color[..., 3], source.color[..., 3]
+    pairs = [(over(source, background), over(candidate, background)) for background in (SKY, GREY)]
+    both = (ours >= 0.5) & (theirs >= 0.5)
+    union = np.maximum(ours, theirs).sum(dtype=np.float64)
+    figures = (
+        np.mean([flip_error(a, b).mean(dtype=np.float64) for a, b in pairs]),
+        np.mean([ssim(a, b) for a, b in pairs]),
+        np.minimum(ours, theirs).sum(dtype=np.float64) / union if union else 1.0,
+        ours.sum(dtype=np.float64),
+        (ours * (1 - trunk)).sum(dtype=np.float64),
+        np.abs(candidate.depth - source.depth)[both].mean(dtype=np.float64) if both.any() else np.nan,
+    )
+    return Scores(*(np.array([figure], np.float64) for figure in figures))
+
+
+def over(picture: Picture, background: tuple[float, float, float]) -> Floats:
+    """Put a picture over a background, linear light: (h, w, 3) float32 in 0..1."""
+    color, alpha = picture.color[..., :3], picture.color[..., 3:]
+    composite: Floats = np.clip(color + (1 - alpha) * np.asarray(background, np.float32), 0, 1)
+    return composite
+
+
+def ssim(a: Floats, b: Floats) -> float:
+    """Mean structural similarity of two linear (h, w, 3) pictures, on their sRGB-encoded luminance in 0..1.
+
+    Gaussian window of 11 x 11 pixels, sigma 1.5 ([WBSS04] 3.2).
+    """
+    x, y = (to_srgb(image @ _LUMINANCE).astype(np.float32) / 255 for image in (a, b))
+    offsets = np.arange(-5, 6)
+    window = np.exp(-(offsets**2) / (2 * 1.5**2))
+    window /= window.sum()
+
+    fields = np.stack([x, y, x * x, y * y, x * y])
+    x, y, xx, yy, xy = correlate1d(correlate1d(fields, window, axis=1), window, axis=2)
+    c1, c2 = 0.01**2, 0.03**2
+    similarity = (2 * x * y + c1) * (2 * (xy - x * y) + c2)
+    similarity /= (x * x + y * y + c1) * (xx - x * x + yy - y * y + c2)
+    return float(similarity.mean(dtype=np.float64))
+
+
+def draw_calls(mesh: Mesh) -> int:
+    """Draw calls of a stock client: one for each material of each node."""
+    return len(np.unique(np.stack([mesh.face_node, mesh.face_material]), axis=1).T)
+
+
+def gpu_bytes(mesh: Mesh) -> int:
+    """Memory on the graphics card: each used texture once as RGBA8 with mipmaps, 32 bytes a vertex, 4 an index."""
+    used = [mesh.materials[i] for i in np.unique(mesh.face_material)]
+    textures = {id(image): image for material in used for image in (material.color_map, material.normal_map) if image}
+    texels = 0
+    for texture in textures.values():
+        height, width = texture.pixels.shape[:2]
+        texels += height * width
+        while max(height, width) > 1:
+            height, width = max(height // 2, 1), max(width // 2, 1)
+            texels += height * width
+    return 4 * texels + 32 * len(mesh.positions) + 4 * mesh.faces.size

@@ -1,0 +1,230 @@
+"""The protocol: which views are drawn, what is measured in them, and how the figures are summed up."""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+
+from treebake.errors import SettingsError
+from treebake.gl.draw import Drawing, Picture, renderer
+from treebake.images import flip_error
+from treebake.model import Doubles, Floats, Mesh
+from treebake.verify.cameras import Camera, cameras
+from treebake.verify.metrics import SKY, Scores, draw_calls, gpu_bytes, over, score
+from treebake.verify.reference import Reference, reference
+
+_QUICK_HEIGHT = 256
+_QUICK_STEP = 3  # every third camera: 8 of 24, all elevations and azimuths still in
+
+
+@dataclass(frozen=True)
+class VerifySettings:
+    """How a candidate is judged."""
+
+    heights: tuple[int, ...] = (512, 256, 128, 64)  # heights of the source's bounding sphere, pixels, each 16 to 4096
+    elevations: tuple[float, ...] = (0.0, 25.0, 60.0)  # degrees above the horizon, -90 to 90
+    azimuths: int = 8  # evenly spaced views around the tree at each elevation, 1 or more
+    quick: bool = False  # only a third of the views, and only at 256 pixels
+    thresholds: dict[str, float | dict[str, float]] = field(default_factory=dict)
+    # bounds on the candidate's figures: a figure's name, with _min or _max (default), to a value, or to one per height,
+    # e.g. { flip_ratio = { 512 = 1.2, 256 = 1.0 }, coverage_min = 0.98 }
+
+
+@dataclass(frozen=True)
+class Figures:
+    """One line of the report: means over all views; None where there is nothing to measure.
+
+    flip and ssim are means over the window and both backgrounds. flip_ratio is mean FLIP over the mean FLIP of
+    floor(1 px); flip_worst and flip_ratio_worst are the worst view's. coverage is the covered area over the source's,
+    foliage_coverage the same outside the source's trunk. depth_cm reads the mesh's unit as a metre. overdraw is
+    fragments asked for per covered pixel. iou is of the silhouettes, by covered area.
+    """
+
+    flip: float
+    flip_worst: float
+    flip_ratio: float | None
+    flip_ratio_worst: float | None
+    ssim: float
+    iou: float
+    coverage: float | None
+    foliage_coverage: float | None
+    depth_cm: float | None
+    overdraw: float | None
+    triangles: int
+    draw_calls: int
+    gpu_bytes: int
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One view to look at, over the sky: source and candidate (h, w, 3) float32 linear, flip (h, w) float32."""
+
+    camera: Camera
+    source: Floats
+    candidate: Floats
+    flip: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Everything measured at one height, and each elevation's worst view."""
+
+    height: int
+    candidate: Figures
+    floor_half: Figures
+    floor_one: Figures
+    empty: Figures
+    samples: tuple[Sample, ...]
+
+    @property
+    def invisible(self) -> bool:
+        """Whether the candidate differs no more from the source than the source moved by one pixel."""
+        return self.candidate.flip_ratio is not None and self.candidate.flip_ratio <= 1
+
+
+@dataclass(frozen=True, eq=False)
+class Report:
+    """What `verify` found: one level per height, greatest first; `views` cameras each; the renderer's name."""
+
+    levels: tuple[Level, ...]
+    views: int
+    renderer: str
+
+
+def verify(
+    source: Mesh,
+    candidate: Mesh | Mapping[int, Mesh],
+    settings: VerifySettings | None = None,
+    cache: Path | None = None,
+    *,
+    trunk: Mesh | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Report:
+    """Measure how a candidate differs from its source, both drawn as a stock glTF client draws them.
+
+    candidate: one mesh, or one for each height. cache: a folder where the source's pictures and floors are kept, so
+    that only the candidate is drawn the next time. trunk: the part of the source that is not foliage; without it there
+    is no foliage_coverage. progress: called with the views done and to do, from any thread, one call at a time.
+    O(heights x views x (faces + pixels)).
+
+    Raises SettingsError, GraphicsError, and WorkspaceError where the cache cannot be written.
+    """
+    settings = settings or VerifySettings()
+    heights, directions = _plan(source, settings)
+    levels = candidate if isinstance(candidate, Mapping) else dict.fromkeys(heights, candidate)
+    if missing := [height for height in heights if height not in levels]:
+        raise SettingsError(f"no candidate for {missing[0]} px; give one mesh per height, or leave out that height")
+
+    tally = _Tally(2 * len(heights) * len(directions), progress)
+    return Report(
+        levels=tuple(_level(source, trunk, levels[height], directions, height, cache, tally) for height in heights),
+        views=len(directions),
+        renderer=renderer(),
+    )
+
+
+def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Camera, ...]]:
+    for bad, what in (
+        (not settings.heights or not all(16 <= height <= 4096 for height in settings.heights), "heights: 16 to 4096"),
+        (not settings.elevations or not all(-90 <= e <= 90 for e in settings.elevations), "elevations: -90 to 90"),
+        (settings.azimuths < 1, "azimuths: 1 or more"),
+    ):
+        if bad:
+            raise SettingsError(f"verify.{what}; at least one")
+    directions = cameras(source, settings.elevations, settings.azimuths)
+    if settings.quick:
+        return [_QUICK_HEIGHT], directions[::_QUICK_STEP]
+    return sorted(set(settings.heights), reverse=True), directions
+
+
+@dataclass
+class _Tally:
+    """Counts the views done, from whichever thread, and tells."""
+
+    total: int
+    progress: Callable[[int, int], None] | None
+    done: int = 0
+    lock: Lock = field(default_factory=Lock)
+
+    def __call__(self, views: int) -> None:
+        with self.lock:
+            self.done += views
+            if self.progress:
+                self.progress(self.done, self.total)
+
+
+def _level(
+    source: Mesh,
+    trunk: Mesh | None,
+    candidate: Mesh,
+    directions: tuple[Camera, ...],
+    height: int,
+    cache: Path | None,
+    scored: Callable[[int], None],
+) -> Level:
+    known = reference(source, trunk, directions, height, cache, scored)
+    views = [camera.view(height) for camera in directions]
+
+    def judge(index: int, picture: Picture) -> Scores:
+        result = score(known.picture(index), picture, known.trunk(index))
+        scored(1)
+        return result
+
+    with closing(Drawing(candidate)) as drawing:
+        with ThreadPoolExecutor(2) as pool:  # scores while the next views are drawn
+            scores = Scores.gather(pool.map(judge, range(len(views)), map(drawing.picture, views)))
+        fragments = np.array([drawing.fragments(view) for view in views])
+        samples = tuple(
+            _sample(directions[index], known.picture(index), drawing.picture(views[index]))
+            for index in _worst_of_each_elevation(directions, scores.flip)
+        )
+
+    def figures(scores: Scores, mesh: Mesh | None, fragments: Doubles) -> Figures:
+        return _figures(scores, known, trunk is not None, mesh, fragments)
+
+    return Level(
+        height=height,
+        candidate=figures(scores, candidate, fragments),
+        floor_half=figures(known.floor_half, source, known.fragments),
+        floor_one=figures(known.floor_one, source, known.fragments),
+        empty=figures(known.empty, None, np.zeros(len(views))),
+        samples=samples,
+    )
+
+
+def _figures(scores: Scores, known: Reference, has_trunk: bool, mesh: Mesh | None, fragments: Doubles) -> Figures:
+    floor = known.floor_one.flip
+    seen = ~np.isnan(scores.depth)
+    return Figures(
+        flip=float(scores.flip.mean()),
+        flip_worst=float(scores.flip.max()),
+        flip_ratio=_ratio(scores.flip.mean(), floor.mean()),
+        flip_ratio_worst=float((scores.flip / floor).max()) if floor.all() else None,
+        ssim=float(scores.ssim.mean()),
+        iou=float(scores.iou.mean()),
+        coverage=_ratio(scores.area.sum(), known.area.sum()),
+        foliage_coverage=_ratio(scores.foliage_area.sum(), known.foliage_area.sum()) if has_trunk else None,
+        depth_cm=float(scores.depth[seen].mean() * 100) if seen.any() else None,
+        overdraw=_ratio(fragments.sum(), scores.area.sum()),
+        triangles=mesh.triangles if mesh else 0,
+        draw_calls=draw_calls(mesh) if mesh else 0,
+        gpu_bytes=gpu_bytes(mesh) if mesh else 0,
+    )
+
+
+def _ratio(part: float, whole: float) -> float | None:
+    return float(part / whole) if whole else None
+
+
+def _sample(camera: Camera, source: Picture, candidate: Picture) -> Sample:
+    ours, theirs = over(source, SKY), over(candidate, SKY)
+    return Sample(camera, ours, theirs, flip_error(ours, theirs))
+
+
+def _worst_of_each_elevation(directions: tuple[Camera, ...], flip: Doubles) -> list[int]:
+    elevations = np.array([camera.elevation for camera in directions])
+    return [int(np.argmax(np.where(elevations == elevation, flip, -1))) for elevation in np.unique(elevations)]

@@ -1,0 +1,175 @@
+"""The source's pictures, and the scale to read a candidate's scores by: the floors and the empty scene.
+
+The source is drawn as it is meant, its leaves cut out exactly, and the candidate as a stock client will draw it. A
+floor is the source against itself, the picture shifted by a fraction of a pixel: what something identical but not
+pixel-locked would score.
+"""
+
+import hashlib
+import zipfile
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing, suppress
+from dataclasses import astuple, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from treebake.files import atomic
+from treebake.gl.draw import Drawing, Picture, renderer
+from treebake.model import Doubles, Floats, Mesh
+from treebake.verify.cameras import Camera
+from treebake.verify.metrics import Scores, score
+
+_PACKAGE = Path(__file__).parents[1]
+_CODE = (
+    "images.py",
+    "gl/draw.py",
+    "gl/shaders/lit.glsl",
+    "verify/cameras.py",
+    "verify/metrics.py",
+    "verify/reference.py",
+)
+
+Halves = NDArray[np.float16]
+_SCORES = ("floor_half", "floor_one", "empty")
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """One height's views of the source.
+
+    colors: (n, h, w, 4) float16 and depths: (n, h, w) float32, as in Picture. trunks: (n, h, w) float16, alpha of the
+    trunk alone. area, foliage_area: (n,) float64, pixels that the source covers, in all and outside the trunk.
+    fragments: (n,) float64. floor_half, floor_one, empty: the scores of the source shifted by 0.5 and 1 pixel, and of
+    an empty scene.
+    """
+
+    colors: Halves
+    depths: Floats
+    trunks: Halves
+    area: Doubles
+    foliage_area: Doubles
+    fragments: Doubles
+    floor_half: Scores
+    floor_one: Scores
+    empty: Scores
+
+    def picture(self, view: int) -> Picture:
+        """The source in one view."""
+        return Picture(self.colors[view].astype(np.float32), self.depths[view])
+
+    def trunk(self, view: int) -> Floats:
+        """How much of each pixel the trunk covers, leaves aside."""
+        alpha: Floats = self.trunks[view].astype(np.float32)
+        return alpha
+
+
+def reference(
+    source: Mesh,
+    trunk: Mesh | None,
+    cameras: Sequence[Camera],
+    height: int,
+    cache: Path | None,
+    scored: Callable[[int], None],
+) -> Reference:
+    """Draw and score the source from every camera with its bounding sphere `height` pixels high.
+
+    With a cache folder the result is read from there where mesh, cameras, renderer and code are the ones it was made
+    with, and left there otherwise. trunk: the part of the source that is not foliage. `scored` is told how many more
+    views are done. Raises GraphicsError, and WorkspaceError where the cache cannot be written.
+    """
+    key = _key(source, trunk, cameras, height)
+    path = cache / f"source_{height}px_{len(cameras)}views.npz" if cache else None
+    if path and (kept := _read(path, key)):
+        scored(len(cameras))
+        return kept
+    made = _draw(source, trunk, cameras, height, scored)
+    if path:
+        _write(path, key, made)
+    return made
+
+
+def _draw(
+    source: Mesh, trunk: Mesh | None, cameras: Sequence[Camera], height: int, scored: Callable[[int], None]
+) -> Reference:
+    views = [camera.view(height) for camera in cameras]
+    with closing(Drawing(source, exact_cutouts=True)) as drawing:
+        pictures = [drawing.picture(view) for view in views]
+        fragments = np.array([drawing.fragments(view) for view in views])
+        shifted = (drawing.picture(camera.view(height, shift=0.5)) for camera in cameras)
+        if trunk is None:
+            trunks = [np.zeros_like(picture.depth) for picture in pictures]
+        else:
+            with closing(Drawing(trunk, exact_cutouts=True)) as bare:
+                trunks = [bare.picture(view).color[..., 3] for view in views]
+
+        def against(source: Picture, half: Picture, trunk: Floats) -> list[Scores]:
+            # A whole pixel's shift moves the same samples on, and the margin is empty: no need to draw again.
+            one = Picture(np.roll(source.color, 1, axis=1), np.roll(source.depth, 1, axis=1))
+            empty = Picture(np.zeros_like(source.color), np.zeros_like(source.depth))
+            scores = [score(source, other, trunk) for other in (half, one, empty)]
+            scored(1)
+            return scores
+
+        with ThreadPoolExecutor(2) as pool:
+            half, one, empty = zip(*pool.map(against, pictures, shifted, trunks), strict=True)
+    return Reference(
+        colors=np.stack([picture.color for picture in pictures]).astype(np.float16),
+        depths=np.stack([picture.depth for picture in pictures]),
+        trunks=np.stack(trunks).astype(np.float16),
+        area=np.array([picture.color[..., 3].sum() for picture in pictures], np.float64),
+        foliage_area=np.array(
+            [(picture.color[..., 3] * (1 - trunk)).sum() for picture, trunk in zip(pictures, trunks, strict=True)],
+            np.float64,
+        ),
+        fragments=fragments,
+        floor_half=Scores.gather(half),
+        floor_one=Scores.gather(one),
+        empty=Scores.gather(empty),
+    )
+
+
+def _key(source: Mesh, trunk: Mesh | None, cameras: Sequence[Camera], height: int) -> str:
+    digest = hashlib.sha256(renderer().encode())
+    for name in _CODE:
+        digest.update((_PACKAGE / name).read_bytes())
+    for camera in cameras:
+        digest.update(camera.view(height).to_clip.tobytes())
+    for mesh in (source, trunk):
+        if mesh is not None:
+            _hash_mesh(digest, mesh)
+    return digest.hexdigest()
+
+
+def _hash_mesh(digest: "hashlib._Hash", mesh: Mesh) -> None:
+    for array in (mesh.positions, mesh.normals, mesh.uvs, mesh.faces, mesh.face_material):
+        digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
+    for material in mesh.materials:
+        factors = (material.base_color, material.alpha_mode.value, material.alpha_cutoff, material.double_sided)
+        digest.update(repr(factors).encode())
+        for texture in (material.color_map, material.normal_map):
+            pixels = texture.pixels if texture else np.zeros((0, 0, 4), np.uint8)
+            digest.update(repr(pixels.shape).encode() + pixels.tobytes())
+
+
+_FIELDS = tuple(field.name for field in fields(Reference))
+
+
+def _read(path: Path, key: str) -> Reference | None:
+    with suppress(OSError, KeyError, ValueError, zipfile.BadZipFile), np.load(path, allow_pickle=False) as file:
+        if str(file["key"]) == key:  # a damaged file or another one's is simply made again
+            values: dict[str, Any] = {name: Scores(*file[name]) if name in _SCORES else file[name] for name in _FIELDS}
+            return Reference(**values)
+    return None
+
+
+def _write(path: Path, key: str, made: Reference) -> None:
+    values = {name: getattr(made, name) for name in _FIELDS}
+    arrays: dict[str, Any] = {
+        name: np.stack(astuple(value)) if name in _SCORES else value for name, value in values.items()
+    }
+    with atomic(path) as file:
+        np.savez(file, key=np.array(key), **arrays)
