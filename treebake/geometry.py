@@ -8,17 +8,19 @@ from scipy.sparse.csgraph import connected_components
 from treebake.model import Doubles, Floats, Ints
 
 
-def weld(positions: Floats, tolerance: float) -> Ints:
-    """Give vertices at the same place the same id: (V,) int32, ids 0..W-1.
+def weld(positions: Floats) -> Ints:
+    """Give vertices at exactly the same place the same id: (V,) int32, ids 0..W-1.
 
-    positions: (V, 3), rounded to a grid of `tolerance` units, so that two vertices closer than that may still fall on
-    either side of a grid line; 0 welds exactly equal positions only. O(V log V).
+    positions: (V, 3) float32. Seams in normals or uvs repeat a position to the bit, so no tolerance is needed, and
+    none fuses what merely lies close. O(V log V).
     """
-    keys = np.ascontiguousarray(positions, np.float32) + np.float32(0)  # + 0 turns -0 into 0
-    if tolerance > 0:
-        keys = np.rint(positions.astype(np.float64) / tolerance).astype(np.int64)
-    rows = keys.view(np.dtype((np.void, keys.dtype.itemsize * 3))).reshape(-1)
-    return np.unique(rows, return_inverse=True)[1].astype(np.int32)
+    bits = (np.ascontiguousarray(positions, np.float32) + np.float32(0)).view(np.uint32).astype(np.uint64)  # no -0
+    plane = _ranks((bits[:, 0] << np.uint64(32)) | bits[:, 1])
+    return _ranks((plane << np.uint64(32)) | bits[:, 2]).astype(np.int32)
+
+
+def _ranks(keys: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    return np.unique(keys, return_inverse=True)[1].astype(np.uint64)
 
 
 def components(links: Ints, count: int) -> Ints:
@@ -31,6 +33,23 @@ def components(links: Ints, count: int) -> Ints:
     graph = coo_array((np.ones(len(first), np.int8), (first, others)), shape=(count, count))
     labels: Ints = connected_components(graph, directed=False)[1].astype(np.int32)
     return labels
+
+
+def shared_edges(welded: Ints) -> Ints:
+    """The pairs of half-edges on one edge: (P, 2) int32, half-edge 3 f + i runs from corner i of face f to the next.
+
+    welded: (F, 3) int32 welded vertex ids. An edge of two faces gives one pair, one of k faces up to 3 (k - 2).
+    O(F log F).
+    """
+    ends = np.sort(np.stack([welded, np.roll(welded, -1, axis=1)], axis=2).reshape(-1, 2), axis=1).astype(np.int64)
+    keys = ends[:, 0] << 32 | ends[:, 1]
+    order = np.argsort(keys, kind="stable").astype(np.int32)
+    keys = keys[order]
+    pairs = []
+    for step in (1, 2, 3):  # enough for two coincident sheets, whose edges have four half-edges
+        same = keys[step:] == keys[:-step]
+        pairs.append(np.stack([order[:-step][same], order[step:][same]], axis=1))
+    return np.concatenate(pairs)
 
 
 def triangulate(positions: Floats, corners: Ints, sizes: Ints) -> Ints:
@@ -101,25 +120,20 @@ def crease_normals(positions: Floats, faces: Ints, crease: float) -> tuple[Float
     Returns normals (N, 3) float32, unit (+Y where the area is zero), the vertex that each stems from (N,) int32, and
     the faces re-indexed into these N: (F, 3) int32. O(F log F).
     """
-    ids = weld(positions, 0)[faces]
+    welded = weld(positions)[faces]
     a, b, c = (positions[faces[:, i]].astype(np.float64) for i in range(3))
     areas = np.cross(b - a, c - a)
     units = areas / np.maximum(np.linalg.norm(areas, axis=1, keepdims=True), 1e-300)
-    corner = np.arange(faces.size).reshape(-1, 3)
-    # A half-edge runs between two corners of its face; those of one edge, sorted together, link up where smooth.
-    ends = np.stack([ids, np.roll(ids, -1, axis=1)], axis=2).reshape(-1, 2)
-    corners = np.stack([corner, np.roll(corner, -1, axis=1)], axis=2).reshape(-1, 2)
-    flipped = ends[:, 0] > ends[:, 1]
-    ends[flipped], corners[flipped] = ends[flipped, ::-1], corners[flipped, ::-1]
-    order = np.lexsort(ends.T)
-    ends, corners = ends[order], corners[order]
-    links = [np.zeros((0, 2), np.int64)]
-    for step in (1, 2, 3):  # enough for two coincident sheets, whose edges have four half-edges
-        near, far = corners[:-step], corners[step:]
-        smooth = np.einsum("ni,ni->n", units[near[:, 0] // 3], units[far[:, 0] // 3]) > np.cos(np.radians(crease))
-        joined = smooth & (ends[:-step] == ends[step:]).all(axis=1)
-        links += [np.stack([near[joined, i], far[joined, i]], axis=1) for i in range(2)]
-    groups = components(np.concatenate(links).astype(np.int32), faces.size)
+    one, other = shared_edges(welded).T
+    smooth = np.einsum("ni,ni->n", units[one // 3], units[other // 3]) > np.cos(np.radians(crease))
+    one, other = one[smooth], other[smooth]
+    # The corners at both ends of a smooth edge join; two half-edges run the same way or, more often, opposite ways.
+    following = np.arange(faces.size).reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)
+    opposite = welded.reshape(-1)[one] != welded.reshape(-1)[other]
+    starts = np.stack([one, np.where(opposite, following[other], other)], axis=1)
+    ends = np.stack([following[one], np.where(opposite, other, following[other])], axis=1)
+    links = np.concatenate([starts, ends])
+    groups = components(links.astype(np.int32), faces.size)
     sums = np.stack([np.bincount(groups, np.repeat(areas[:, i], 3)) for i in range(3)], axis=1)
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     normals = np.where(lengths > 0, sums / np.maximum(lengths, 1e-300), (0, 1, 0))

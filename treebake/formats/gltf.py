@@ -96,7 +96,7 @@ def _local(node: Json) -> Doubles:
         matrix: Doubles = np.array(node["matrix"], np.float64).reshape(4, 4).T
         return matrix
     rows = [node.get("translation", (0, 0, 0)), node.get("rotation", (0, 0, 0, 1)), node.get("scale", (1, 1, 1))]
-    return _compose(*(np.array([row], np.float64) for row in rows))[0]
+    return np.asarray(_compose(*(np.array([row], np.float64) for row in rows))[0])
 
 
 def _instances(file: GltfFile, node: Json) -> Doubles:
@@ -115,7 +115,7 @@ def _instances(file: GltfFile, node: Json) -> Doubles:
 def _compose(translation: Array, rotation: Array, scale: Array) -> Doubles:
     """(I, 4, 4) from (I, 3), quaternions xyzw (I, 4) and (I, 3)."""
     x, y, z, w = (rotation / np.linalg.norm(rotation, axis=1, keepdims=True)).T
-    columns = [
+    columns = [  # of the rotation matrix
         [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)],
         [2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)],
         [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)],
@@ -192,7 +192,7 @@ def _place(positions: Array, normals: Array | None, faces: Ints, worlds: Doubles
         cofactors = np.cross(linear[:, :, [1, 2, 0]], linear[:, :, [2, 0, 1]], axis=1)
         cofactors *= np.where(mirrored, -1.0, 1.0)[:, None, None]
         normals = np.einsum("iab,vb->iva", cofactors, normals.astype(np.float64)).reshape(-1, 3).astype(np.float32)
-    wound = np.where(mirrored[:, None, None], faces[:, ::-1], faces)
+    wound = np.where(mirrored[:, None, None], faces[:, [0, 2, 1]], faces)
     wound = wound + np.arange(len(worlds), dtype=np.int32)[:, None, None] * len(positions)
     return placed.reshape(-1, 3).astype(np.float32), normals, wound.reshape(-1, 3).astype(np.int32)
 
