@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import astuple, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
 from treebake.gl.draw import Picture
@@ -11,6 +12,8 @@ from treebake.images import flip_error, to_srgb
 from treebake.model import Doubles, Floats, Mesh
 
 SKY, GREY = (0.55, 0.72, 0.92), (0.18, 0.18, 0.18)  # the backgrounds, linear light
+_FLIP_REACH = 16  # pixels that FLIP's filters look around them at 67 pixels per degree: 10, and some to spare
+_SSIM_REACH = 5
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709
 
 
@@ -39,13 +42,16 @@ class Scores:
 def score(source: Picture, candidate: Picture, trunk: Floats) -> Scores:
     """Compare a candidate's picture with the source's; trunk: (h, w) float32, how much of a pixel the trunk covers."""
     ours, theirs = candidate.color[..., 3], source.color[..., 3]
-    pairs = [(over(source, background), over(candidate, background)) for background in (SKY, GREY)]
+    union = np.maximum(ours, theirs)
     both = (ours >= 0.5) & (theirs >= 0.5)
-    union = np.maximum(ours, theirs).sum(dtype=np.float64)
+    box = _box(union > 0)  # all pixels outside are the same background, so errors need not be computed there
+    pairs = [(over(source, background)[box], over(candidate, background)[box]) for background in (SKY, GREY)]
+    flip = sum(flip_error(a, b).sum(dtype=np.float64) for a, b in pairs) / (2 * union.size)
+    dissimilarity = sum((1 - similarity(a, b)).sum(dtype=np.float64) for a, b in pairs) / (2 * union.size)
     figures = (
-        np.mean([flip_error(a, b).mean(dtype=np.float64) for a, b in pairs]),
-        np.mean([ssim(a, b) for a, b in pairs]),
-        np.minimum(ours, theirs).sum(dtype=np.float64) / union if union else 1.0,
+        flip,
+        1 - dissimilarity,
+        np.minimum(ours, theirs).sum(dtype=np.float64) / union.sum(dtype=np.float64) if union.any() else 1.0,
         ours.sum(dtype=np.float64),
         (ours * (1 - trunk)).sum(dtype=np.float64),
         np.abs(candidate.depth - source.depth)[both].mean(dtype=np.float64) if both.any() else np.nan,
@@ -60,22 +66,22 @@ def over(picture: Picture, background: tuple[float, float, float]) -> Floats:
     return composite
 
 
-def ssim(a: Floats, b: Floats) -> float:
-    """Mean structural similarity of two linear (h, w, 3) pictures, on their sRGB-encoded luminance in 0..1.
+def similarity(a: Floats, b: Floats) -> Doubles:
+    """Structural similarity (SSIM) of two linear (h, w, 3) pictures, on their sRGB-encoded luminance: (h, w) float64.
 
     Gaussian window of 11 x 11 pixels, sigma 1.5 ([WBSS04] 3.2).
     """
-    x, y = (to_srgb(image @ _LUMINANCE).astype(np.float32) / 255 for image in (a, b))
-    offsets = np.arange(-5, 6)
+    x, y = (to_srgb(image @ _LUMINANCE) / 255 for image in (a, b))
+    offsets = np.arange(-_SSIM_REACH, _SSIM_REACH + 1)
     window = np.exp(-(offsets**2) / (2 * 1.5**2))
     window /= window.sum()
 
     fields = np.stack([x, y, x * x, y * y, x * y])
     x, y, xx, yy, xy = correlate1d(correlate1d(fields, window, axis=1), window, axis=2)
     c1, c2 = 0.01**2, 0.03**2
-    similarity = (2 * x * y + c1) * (2 * (xy - x * y) + c2)
-    similarity /= (x * x + y * y + c1) * (xx - x * x + yy - y * y + c2)
-    return float(similarity.mean(dtype=np.float64))
+    result: Doubles = (2 * x * y + c1) * (2 * (xy - x * y) + c2)
+    result /= (x * x + y * y + c1) * (xx - x * x + yy - y * y + c2)
+    return result
 
 
 def draw_calls(mesh: Mesh) -> int:
@@ -95,3 +101,12 @@ def gpu_bytes(mesh: Mesh) -> int:
             height, width = max(height // 2, 1), max(width // 2, 1)
             texels += height * width
     return 4 * texels + 32 * len(mesh.positions) + 4 * mesh.faces.size
+
+
+def _box(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """The rectangle around what is set, as far as the filters reach; everything where nothing is set."""
+    if not mask.any():
+        return slice(None), slice(None)
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    top, left = (max(int(lines[0]) - _FLIP_REACH, 0) for lines in (rows, columns))
+    return slice(top, rows[-1] + _FLIP_REACH + 1), slice(left, columns[-1] + _FLIP_REACH + 1)

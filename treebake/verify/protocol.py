@@ -15,10 +15,9 @@ from treebake.images import flip_error
 from treebake.model import Doubles, Floats, Mesh
 from treebake.verify.cameras import Camera, cameras
 from treebake.verify.metrics import SKY, Scores, draw_calls, gpu_bytes, over, score
-from treebake.verify.reference import Reference, reference
+from treebake.verify.reference import SCALE, Reference, reference
 
 _QUICK_HEIGHT = 256
-_QUICK_STEP = 3  # every third camera: 8 of 24, all elevations and azimuths still in
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ class VerifySettings:
 
 @dataclass(frozen=True)
 class Figures:
-    """One line of the report: means over all views; None where there is nothing to measure.
+    """One line of the report: means over the views; None where there is nothing to measure.
 
     flip and ssim are means over the window and both backgrounds. flip_ratio is mean FLIP over the mean FLIP of
     floor(1 px); flip_worst and flip_ratio_worst are the worst view's. coverage is the covered area over the source's,
@@ -137,7 +136,7 @@ def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Came
             raise SettingsError(f"verify.{what}; at least one")
     directions = cameras(source, settings.elevations, settings.azimuths)
     if settings.quick:
-        return [_QUICK_HEIGHT], directions[::_QUICK_STEP]
+        return [_QUICK_HEIGHT], directions[SCALE]
     return sorted(set(settings.heights), reverse=True), directions
 
 
@@ -183,21 +182,23 @@ def _level(
             for index in _worst_of_each_elevation(directions, scores.flip)
         )
 
-    def figures(scores: Scores, mesh: Mesh | None, fragments: Doubles) -> Figures:
-        return _figures(scores, known, trunk is not None, mesh, fragments)
+    def figures(scores: Scores, mesh: Mesh | None, fragments: Doubles, views: slice = slice(None)) -> Figures:
+        return _figures(scores, known, views, trunk is not None, mesh, fragments[views])
 
     return Level(
         height=height,
         candidate=figures(scores, candidate, fragments),
-        floor_half=figures(known.floor_half, source, known.fragments),
+        floor_half=figures(known.floor_half, source, known.fragments, SCALE),
         floor_one=figures(known.floor_one, source, known.fragments),
-        empty=figures(known.empty, None, np.zeros(len(views))),
+        empty=figures(known.empty, None, np.zeros(len(views)), SCALE),
         samples=samples,
     )
 
 
-def _figures(scores: Scores, known: Reference, has_trunk: bool, mesh: Mesh | None, fragments: Doubles) -> Figures:
-    floor = known.floor_one.flip
+def _figures(
+    scores: Scores, known: Reference, views: slice, has_trunk: bool, mesh: Mesh | None, fragments: Doubles
+) -> Figures:
+    floor = known.floor_one.flip[views]
     seen = ~np.isnan(scores.depth)
     return Figures(
         flip=float(scores.flip.mean()),
@@ -206,8 +207,8 @@ def _figures(scores: Scores, known: Reference, has_trunk: bool, mesh: Mesh | Non
         flip_ratio_worst=float((scores.flip / floor).max()) if floor.all() else None,
         ssim=float(scores.ssim.mean()),
         iou=float(scores.iou.mean()),
-        coverage=_ratio(scores.area.sum(), known.area.sum()),
-        foliage_coverage=_ratio(scores.foliage_area.sum(), known.foliage_area.sum()) if has_trunk else None,
+        coverage=_ratio(scores.area.sum(), known.area[views].sum()),
+        foliage_coverage=_ratio(scores.foliage_area.sum(), known.foliage_area[views].sum()) if has_trunk else None,
         depth_cm=float(scores.depth[seen].mean() * 100) if seen.any() else None,
         overdraw=_ratio(fragments.sum(), scores.area.sum()),
         triangles=mesh.triangles if mesh else 0,

@@ -34,7 +34,8 @@ _CODE = (
 )
 
 Halves = NDArray[np.float16]
-_SCORES = ("floor_half", "floor_one", "empty")
+_SCORES = ("floor_one", "floor_half", "empty")
+SCALE = slice(None, None, 3)  # every third camera: of 24, 8 that hold all elevations and azimuths
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +44,8 @@ class Reference:
 
     colors: (n, h, w, 4) float16 and depths: (n, h, w) float32, as in Picture. trunks: (n, h, w) float16, alpha of the
     trunk alone. area, foliage_area: (n,) float64, pixels that the source covers, in all and outside the trunk.
-    fragments: (n,) float64. floor_half, floor_one, empty: the scores of the source shifted by 0.5 and 1 pixel, and of
-    an empty scene.
+    fragments: (n,) float64. floor_one, floor_half, empty: the scores of the source shifted by 1 and 0.5 pixels, and of
+    an empty scene; the latter two, which only give the reader a scale, in the views SCALE alone.
     """
 
     colors: Halves
@@ -53,8 +54,8 @@ class Reference:
     area: Doubles
     foliage_area: Doubles
     fragments: Doubles
-    floor_half: Scores
     floor_one: Scores
+    floor_half: Scores
     empty: Scores
 
     def picture(self, view: int) -> Picture:
@@ -99,23 +100,27 @@ def _draw(
     with closing(Drawing(source, exact_cutouts=True)) as drawing:
         pictures = [drawing.picture(view) for view in views]
         fragments = np.array([drawing.fragments(view) for view in views])
-        shifted = (drawing.picture(camera.view(height, shift=0.5)) for camera in cameras)
         if trunk is None:
             trunks = [np.zeros_like(picture.depth) for picture in pictures]
         else:
             with closing(Drawing(trunk, exact_cutouts=True)) as bare:
                 trunks = [bare.picture(view).color[..., 3] for view in views]
 
-        def against(source: Picture, half: Picture, trunk: Floats) -> list[Scores]:
+        def floor(source: Picture, trunk: Floats) -> Scores:
             # A whole pixel's shift moves the same samples on, and the margin is empty: no need to draw again.
             one = Picture(np.roll(source.color, 1, axis=1), np.roll(source.depth, 1, axis=1))
-            empty = Picture(np.zeros_like(source.color), np.zeros_like(source.depth))
-            scores = [score(source, other, trunk) for other in (half, one, empty)]
+            result = score(source, one, trunk)
             scored(1)
-            return scores
+            return result
 
+        def nothing(source: Picture, trunk: Floats) -> Scores:
+            return score(source, Picture(np.zeros_like(source.color), np.zeros_like(source.depth)), trunk)
+
+        shifted = (drawing.picture(camera.view(height, shift=0.5)) for camera in cameras[SCALE])
         with ThreadPoolExecutor(2) as pool:
-            half, one, empty = zip(*pool.map(against, pictures, shifted, trunks), strict=True)
+            floor_one = Scores.gather(pool.map(floor, pictures, trunks))
+            floor_half = Scores.gather(pool.map(score, pictures[SCALE], shifted, trunks[SCALE]))
+            empty = Scores.gather(pool.map(nothing, pictures[SCALE], trunks[SCALE]))
     return Reference(
         colors=np.stack([picture.color for picture in pictures]).astype(np.float16),
         depths=np.stack([picture.depth for picture in pictures]),
@@ -126,9 +131,9 @@ def _draw(
             np.float64,
         ),
         fragments=fragments,
-        floor_half=Scores.gather(half),
-        floor_one=Scores.gather(one),
-        empty=Scores.gather(empty),
+        floor_one=floor_one,
+        floor_half=floor_half,
+        empty=empty,
     )
 
 
