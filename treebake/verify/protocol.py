@@ -9,13 +9,15 @@ from threading import Lock
 
 import numpy as np
 
-from treebake.errors import SettingsError
+from treebake.errors import MeshError, SettingsError
 from treebake.gl.draw import Drawing, Picture, renderer
 from treebake.images import flip_error
 from treebake.model import Doubles, Floats, Mesh
 from treebake.verify.cameras import Camera, cameras
-from treebake.verify.metrics import SKY, Scores, draw_calls, gpu_bytes, over, score
-from treebake.verify.reference import SCALE, Reference, reference
+from treebake.verify.figures import Figures, summed_up
+from treebake.verify.metrics import SKY, Scores, over, score
+from treebake.verify.reference import SCALE, reference
+from treebake.verify.thresholds import failures, parse
 
 _QUICK_HEIGHT = 256
 
@@ -31,31 +33,6 @@ class VerifySettings:
     thresholds: dict[str, float | dict[str, float]] = field(default_factory=dict)
     # bounds on the candidate's figures: a figure's name, with _min or _max (default), to a value, or to one per height,
     # e.g. { flip_ratio = { 512 = 1.2, 256 = 1.0 }, coverage_min = 0.98 }
-
-
-@dataclass(frozen=True)
-class Figures:
-    """One line of the report: means over the views; None where there is nothing to measure.
-
-    flip and ssim are means over the window and both backgrounds. flip_ratio is mean FLIP over the mean FLIP of
-    floor(1 px); flip_worst and flip_ratio_worst are the worst view's. coverage is the covered area over the source's,
-    foliage_coverage the same outside the source's trunk. depth_cm reads the mesh's unit as a metre. overdraw is
-    fragments asked for per covered pixel. iou is of the silhouettes, by covered area.
-    """
-
-    flip: float
-    flip_worst: float
-    flip_ratio: float | None
-    flip_ratio_worst: float | None
-    ssim: float
-    iou: float
-    coverage: float | None
-    foliage_coverage: float | None
-    depth_cm: float | None
-    overdraw: float | None
-    triangles: int
-    draw_calls: int
-    gpu_bytes: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +64,16 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Report:
-    """What `verify` found: one level per height, greatest first; `views` cameras each; the renderer's name."""
+    """What `verify` found.
+
+    levels: one per height, greatest first. views: cameras at each height. renderer: the OpenGL that drew. misses: the
+    thresholds that the candidate missed, one line each.
+    """
 
     levels: tuple[Level, ...]
     views: int
     renderer: str
+    misses: tuple[str, ...]
 
 
 def verify(
@@ -110,20 +92,19 @@ def verify(
     is no foliage_coverage. progress: called with the views done and to do, from any thread, one call at a time.
     O(heights x views x (faces + pixels)).
 
-    Raises SettingsError, GraphicsError, and WorkspaceError where the cache cannot be written.
+    Raises MeshError for an empty source, SettingsError, GraphicsError, and WorkspaceError where the cache cannot be
+    written.
     """
     settings = settings or VerifySettings()
     heights, directions = _plan(source, settings)
-    levels = candidate if isinstance(candidate, Mapping) else dict.fromkeys(heights, candidate)
-    if missing := [height for height in heights if height not in levels]:
+    candidates = candidate if isinstance(candidate, Mapping) else dict.fromkeys(heights, candidate)
+    if missing := [height for height in heights if height not in candidates]:
         raise SettingsError(f"no candidate for {missing[0]} px; give one mesh per height, or leave out that height")
 
     tally = _Tally(2 * len(heights) * len(directions), progress)
-    return Report(
-        levels=tuple(_level(source, trunk, levels[height], directions, height, cache, tally) for height in heights),
-        views=len(directions),
-        renderer=renderer(),
-    )
+    levels = tuple(_level(source, trunk, candidates[height], directions, height, cache, tally) for height in heights)
+    measured = [(level.height, level.candidate) for level in levels]
+    return Report(levels, len(directions), renderer(), failures(measured, settings.thresholds))
 
 
 def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Camera, ...]]:
@@ -134,6 +115,9 @@ def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Came
     ):
         if bad:
             raise SettingsError(f"verify.{what}; at least one")
+    if not source.triangles:
+        raise MeshError("the source has no triangles, so nothing can be compared with it; give the tree that was baked")
+    parse(settings.thresholds)  # a slip in them should not take minutes to show
     directions = cameras(source, settings.elevations, settings.azimuths)
     if settings.quick:
         return [_QUICK_HEIGHT], directions[SCALE]
@@ -183,7 +167,7 @@ def _level(
         )
 
     def figures(scores: Scores, mesh: Mesh | None, fragments: Doubles, views: slice = slice(None)) -> Figures:
-        return _figures(scores, known, views, trunk is not None, mesh, fragments[views])
+        return summed_up(scores, known, views, mesh, fragments[views])
 
     return Level(
         height=height,
@@ -193,32 +177,6 @@ def _level(
         empty=figures(known.empty, None, np.zeros(len(views)), SCALE),
         samples=samples,
     )
-
-
-def _figures(
-    scores: Scores, known: Reference, views: slice, has_trunk: bool, mesh: Mesh | None, fragments: Doubles
-) -> Figures:
-    floor = known.floor_one.flip[views]
-    seen = ~np.isnan(scores.depth)
-    return Figures(
-        flip=float(scores.flip.mean()),
-        flip_worst=float(scores.flip.max()),
-        flip_ratio=_ratio(scores.flip.mean(), floor.mean()),
-        flip_ratio_worst=float((scores.flip / floor).max()) if floor.all() else None,
-        ssim=float(scores.ssim.mean()),
-        iou=float(scores.iou.mean()),
-        coverage=_ratio(scores.area.sum(), known.area[views].sum()),
-        foliage_coverage=_ratio(scores.foliage_area.sum(), known.foliage_area[views].sum()) if has_trunk else None,
-        depth_cm=float(scores.depth[seen].mean() * 100) if seen.any() else None,
-        overdraw=_ratio(fragments.sum(), scores.area.sum()),
-        triangles=mesh.triangles if mesh else 0,
-        draw_calls=draw_calls(mesh) if mesh else 0,
-        gpu_bytes=gpu_bytes(mesh) if mesh else 0,
-    )
-
-
-def _ratio(part: float, whole: float) -> float | None:
-    return float(part / whole) if whole else None
 
 
 def _sample(camera: Camera, source: Picture, candidate: Picture) -> Sample:

@@ -1,0 +1,64 @@
+"""The figures of a report, summed up over the views."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from treebake.model import Doubles, Mesh
+from treebake.verify.metrics import Scores, draw_calls, gpu_bytes
+from treebake.verify.reference import Reference
+
+
+@dataclass(frozen=True)
+class Figures:
+    """One line of the report: means over the views; None where there is nothing to measure.
+
+    flip and ssim are means over the window and both backgrounds. flip_ratio is mean FLIP over the mean FLIP of
+    floor(1 px); flip_worst and flip_ratio_worst are the worst view's. coverage is the covered area over the source's,
+    foliage_coverage the same outside the source's trunk. depth_cm reads the mesh's unit as a metre. overdraw is
+    fragments asked for per covered pixel. iou is of the silhouettes, by covered area.
+    """
+
+    flip: float
+    flip_worst: float
+    flip_ratio: float | None
+    flip_ratio_worst: float | None
+    ssim: float
+    iou: float
+    coverage: float | None
+    foliage_coverage: float | None
+    depth_cm: float | None
+    overdraw: float | None
+    triangles: int
+    draw_calls: int
+    gpu_bytes: int
+
+
+def summed_up(scores: Scores, known: Reference, views: slice, mesh: Mesh | None, fragments: Doubles) -> Figures:
+    """Sum up the scores of a candidate (None: the empty scene) in some of the views of its reference.
+
+    fragments: one for each of those views.
+    """
+    floor = known.floor_one.flip[views]
+    seen = ~np.isnan(scores.depth)
+    return Figures(
+        flip=float(scores.flip.mean()),
+        flip_worst=float(scores.flip.max()),
+        flip_ratio=_ratio(scores.flip.mean(), floor.mean()),
+        flip_ratio_worst=float((scores.flip / floor).max()) if floor.all() else None,
+        ssim=float(scores.ssim.mean()),
+        iou=float(scores.iou.mean()),
+        coverage=_ratio(scores.area.sum(), known.area[views].sum()),
+        foliage_coverage=_ratio(scores.foliage_area.sum(), known.foliage_area[views].sum())
+        if known.trunks.any()
+        else None,
+        depth_cm=float(scores.depth[seen].mean() * 100) if seen.any() else None,
+        overdraw=_ratio(fragments.sum(), scores.area.sum()),
+        triangles=mesh.triangles if mesh else 0,
+        draw_calls=draw_calls(mesh) if mesh else 0,
+        gpu_bytes=gpu_bytes(mesh) if mesh else 0,
+    )
+
+
+def _ratio(part: float, whole: float) -> float | None:
+    return float(part / whole) if whole else None

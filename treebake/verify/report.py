@@ -1,0 +1,107 @@
+"""What `verify` found, for people and for machines: a table, report.json, and a contact sheet per height."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from treebake.files import atomic
+from treebake.images import encode_png, to_srgb
+from treebake.model import Bytes, Floats
+from treebake.verify.figures import Figures
+from treebake.verify.protocol import Level, Report, Sample
+
+_DECIMALS = 5
+# Dark to light through purple, evenly spaced for the eye: matplotlib's "magma" at quarter steps.
+_RAMP = np.array([[0, 0, 4], [81, 18, 124], [183, 55, 121], [252, 137, 97], [252, 253, 191]], np.float64)
+_COLUMNS = (  # heading, figure, format
+    ("FLIP", "flip", ".4f"),
+    ("worst", "flip_worst", ".4f"),
+    ("/floor", "flip_ratio", ".3f"),
+    ("SSIM", "ssim", ".3f"),
+    ("IoU", "iou", ".3f"),
+    ("coverage", "coverage", ".3f"),
+    ("foliage", "foliage_coverage", ".3f"),
+    ("depth cm", "depth_cm", ".1f"),
+    ("overdraw", "overdraw", ".2f"),
+    ("triangles", "triangles", ",d"),
+    ("draws", "draw_calls", "d"),
+    ("GPU bytes", "gpu_bytes", ",d"),
+)
+
+
+def as_dict(report: Report) -> dict[str, Any]:
+    """The whole report as plain values for JSON, rounded to 5 decimals; a candidate's figures lie at the top."""
+    return {
+        "renderer": report.renderer,
+        "views": report.views,
+        "misses": list(report.misses),
+        "heights": [
+            {
+                "height": level.height,
+                "invisible": level.invisible,
+                **_rounded(level.candidate),
+                "scale": {name: _rounded(figures) for name, figures in _scale(level).items()},
+            }
+            for level in report.levels
+        ],
+    }
+
+
+def write_report(report: Report, folder: Path) -> None:
+    """Write report.json and one contact sheet per height, e.g. 512px.png: source, candidate, FLIP map.
+
+    A sheet's rows are each elevation's worst view, pixel for pixel. The FLIP map runs from black (no difference) to
+    light yellow (1). The same report gives the same bytes. Raises WorkspaceError where the folder cannot be written.
+    """
+    for level in report.levels:
+        with atomic(folder / f"{level.height}px.png") as file:
+            file.write(encode_png(np.concatenate([_row(sample) for sample in level.samples])))
+    with atomic(folder / "report.json") as file:
+        file.write((json.dumps(as_dict(report), indent=2, sort_keys=True) + "\n").encode())
+
+
+def format_table(report: Report) -> str:
+    """Lay the figures out for a terminal: per height the candidate, the floors and the empty scene."""
+    lines = [["px", "", *(heading for heading, _, _ in _COLUMNS)]]
+    for level in report.levels:
+        verdict = "invisible" if level.invisible else "candidate"
+        rows = {verdict: level.candidate, **_scale(level)}
+        for name, figures in rows.items():
+            height = str(level.height) if figures is level.candidate else ""
+            lines.append([height, name.replace("_", " "), *(_cell(figures, *column[1:]) for column in _COLUMNS)])
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(
+            cell.ljust(width) if index == 1 else cell.rjust(width)
+            for index, (cell, width) in enumerate(zip(line, widths, strict=True))
+        ).rstrip()
+        for line in lines
+    )
+
+
+def _scale(level: Level) -> dict[str, Figures]:
+    return {"floor_0.5px": level.floor_half, "floor_1px": level.floor_one, "empty": level.empty}
+
+
+def _rounded(figures: Figures) -> dict[str, Any]:
+    return {
+        name: round(value, _DECIMALS) if isinstance(value, float) else value for name, value in asdict(figures).items()
+    }
+
+
+def _cell(figures: Figures, name: str, form: str) -> str:
+    value = getattr(figures, name)
+    return "-" if value is None else format(value, form)
+
+
+def _row(sample: Sample) -> Bytes:
+    return np.concatenate([to_srgb(sample.source), to_srgb(sample.candidate), _ramp(sample.flip)], axis=1)
+
+
+def _ramp(values: Floats) -> Bytes:
+    stops = np.linspace(0, 1, len(_RAMP))
+    channels = [np.interp(values, stops, _RAMP[:, channel]) for channel in range(3)]
+    return np.rint(np.stack(channels, axis=-1)).astype(np.uint8)
