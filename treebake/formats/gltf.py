@@ -23,7 +23,7 @@ Json = dict[str, Any]
 _DRACO, _INSTANCING, _TRANSFORM = "KHR_draco_mesh_compression", "EXT_mesh_gpu_instancing", "KHR_texture_transform"
 _READ = {_DRACO, _INSTANCING, _TRANSFORM, "KHR_mesh_quantization"}
 _HARMLESS = {"EXT_texture_webp", "KHR_lights_punctual", "KHR_xmp_json_ld", "MSFT_lod", "MSFT_screencoverage"}
-_DECOMPRESS = "rewrite it plainly with: gltfpack -noq -kn -km -i {name} -o plain.glb"
+_DECOMPRESS = "rewrite it without with: gltf-transform copy {name} plain.glb"
 _REMEDIES = {
     "EXT_meshopt_compression": _DECOMPRESS,
     "KHR_meshopt_compression": _DECOMPRESS,

@@ -6,7 +6,8 @@ from numpy.typing import NDArray
 from treebake.model import Doubles, Ints, Mesh
 
 _CHUNK = 1 << 19  # corners aligned at a time, to bound the memory
-_TRIES = 4  # exemplars tried in one bucket before the rest count as shapes of their own
+_TRIES = 4  # exemplars tried in one bucket
+_COMMON = 4  # shapes that the exemplars of the others are tried against
 _GRAIN = 0.02  # of the leaf size: how finely signatures are told apart; finer than leaves differ, coarser than noise
 
 Longs = NDArray[np.int64]
@@ -17,8 +18,8 @@ def find_shapes(mesh: Mesh, face_leaf: Ints, tolerance: float) -> tuple[Ints, In
 
     face_leaf: (F,) int32 in 0..N-1. tolerance: greatest distance of two vertices, of the leaf's radius.
     Returns shape (N,) int32, exemplars (S,) int32 and transforms (N, 3, 4) float64, as in `Leaves`. A leaf that
-    matches none is its own shape. Leaves are bucketed by a hash of what no motion changes, then aligned to the first of
-    their bucket ([K76], [U91]); O(F log F).
+    matches none is its own shape. Leaves are bucketed by a hash of what no motion changes and aligned to the first of
+    their bucket (Umeyama 1991); what noise threw into another bucket is tried against the commonest shapes. O(F log F).
     """
     count = int(face_leaf.max(initial=-1)) + 1
     by_leaf = np.argsort(face_leaf, kind="stable")
@@ -28,30 +29,48 @@ def find_shapes(mesh: Mesh, face_leaf: Ints, tolerance: float) -> tuple[Ints, In
     transforms = np.tile(np.eye(3, 4), (count, 1, 1))
     for size in np.unique(sizes):
         leaves = np.flatnonzero(sizes == size)
-        faces = by_leaf[starts[leaves, None] + np.arange(size)]
-        _match(mesh, leaves, faces, tolerance, shape, transforms)
+        found, transforms[leaves] = _match(mesh, by_leaf[starts[leaves, None] + np.arange(size)], tolerance)
+        shape[leaves] = leaves[found]
     exemplars, shape = np.unique(shape, return_inverse=True)
     return shape.astype(np.int32), exemplars.astype(np.int32), transforms
 
 
-def _match(mesh: Mesh, leaves: Longs, faces: Longs, tolerance: float, shape: Longs, transforms: Doubles) -> None:
-    """Fill `shape` (the exemplar) and `transforms` for leaves (N,) of K faces each (N, K)."""
-    chunks = np.array_split(np.arange(len(leaves)), max(1, 3 * faces.size // _CHUNK))
-    buckets = np.unique(np.concatenate([_signatures(mesh, faces[rows]) for rows in chunks]), return_inverse=True)[1]
-    pending = np.arange(len(leaves))
+def _match(mesh: Mesh, faces: Longs, tolerance: float) -> tuple[Longs, Doubles]:
+    """The exemplar (N,) and transform (N, 3, 4) of leaves of K faces each (N, K)."""
+    exemplar = np.arange(len(faces))
+    transforms = np.tile(np.eye(3, 4), (len(faces), 1, 1))
+    hashes = np.concatenate([_signatures(mesh, faces[part]) for part in _chunks(faces)])
+    pending = exemplar.copy()
     for _ in range(_TRIES):
-        _, first, bucket = np.unique(buckets[pending], return_index=True, return_inverse=True)
-        exemplar = pending[first][bucket]
-        matched = np.zeros(len(pending), bool)
-        for rows in np.array_split(np.arange(len(pending)), max(1, 3 * faces.shape[1] * len(pending) // _CHUNK)):
-            found, matched[rows] = _align(mesh, faces[exemplar[rows]], faces[pending[rows]], tolerance)
-            transforms[leaves[pending[rows]][matched[rows]]] = found[matched[rows]]
-        matched[first] = True
-        transforms[leaves[pending[first]]] = np.eye(3, 4)
-        shape[leaves[pending[matched]]] = leaves[exemplar[matched]]
-        pending = pending[~matched]
-        if not len(pending):
-            return
+        _, first, bucket = np.unique(hashes[pending], return_index=True, return_inverse=True)
+        others = np.setdiff1d(np.arange(len(pending)), first)
+        tried, rows = pending[first][bucket[others]], pending[others]
+        found, fits = _align(mesh, faces[tried], faces[rows], tolerance)
+        exemplar[rows[fits]], transforms[rows[fits]] = tried[fits], found[fits]
+        pending = rows[~fits]
+    shapes, sizes = np.unique(exemplar, return_counts=True)
+    by_size = shapes[np.argsort(-sizes, kind="stable")]
+    common, rest = by_size[:_COMMON], by_size[_COMMON:]
+    for tried in common:
+        found, fits = _align(mesh, faces[np.full(len(rest), tried)], faces[rest], tolerance)
+        moved = np.full(len(faces), -1)
+        moved[rest[fits]] = np.flatnonzero(fits)
+        members = np.flatnonzero(moved[exemplar] >= 0)
+        transforms[members] = _compose(transforms[members], found[moved[exemplar[members]]])
+        exemplar[members] = tried
+        rest = rest[~fits]
+    return exemplar, transforms
+
+
+def _chunks(faces: Longs) -> list[Longs]:
+    return np.array_split(np.arange(len(faces)), max(1, 3 * faces.size // _CHUNK))
+
+
+def _compose(outer: Doubles, inner: Doubles) -> Doubles:
+    """(N, 3, 4) that apply `inner`, then `outer`."""
+    composed = outer[:, :, :3] @ inner
+    composed[:, :, 3] += outer[:, :, 3]
+    return composed
 
 
 def _signatures(mesh: Mesh, faces: Longs) -> Longs:
@@ -75,24 +94,29 @@ def _signatures(mesh: Mesh, faces: Longs) -> Longs:
 def _align(mesh: Mesh, source: Longs, target: Longs, tolerance: float) -> tuple[Doubles, NDArray[np.bool_]]:
     """The similarities (N, 3, 4) that take leaves onto others, faces (N, K) each, and whether they fit: (N,) bool.
 
-    [U91]; a mirror image is wound the other way round, so its second and third corners change places.
+    A mirror image is wound the other way round, so its second and third corners change places.
     """
-    same_material = (mesh.face_material[source] == mesh.face_material[target]).all(axis=1)
-    transforms, fits = _similarity(mesh, mesh.faces[source], mesh.faces[target], 1.0, tolerance)
-    rest = np.flatnonzero(~fits)
-    if len(rest):
-        wound = mesh.faces[target[rest]][:, :, [0, 2, 1]]
-        transforms[rest], fits[rest] = _similarity(mesh, mesh.faces[source[rest]], wound, -1.0, tolerance)
-    return transforms, fits & same_material
+    transforms = np.empty((len(source), 3, 4))
+    fits = np.empty(len(source), bool)
+    for part in _chunks(source):
+        x, y = mesh.faces[source[part]], mesh.faces[target[part]]
+        transforms[part], fits[part] = _similarity(mesh, x, y, 1.0, tolerance)
+        rest = np.flatnonzero(~fits[part])
+        mirrored = _similarity(mesh, x[rest], y[rest][:, :, [0, 2, 1]], -1.0, tolerance)
+        transforms[part[rest]], fits[part[rest]] = mirrored
+        fits[part] &= (mesh.face_material[source[part]] == mesh.face_material[target[part]]).all(axis=1)
+    return transforms, fits
 
 
 def _similarity(
     mesh: Mesh, source: Ints, target: Ints, handedness: float, tolerance: float
 ) -> tuple[Doubles, NDArray[np.bool_]]:
     """As `_align`, for corners (N, K, 3) in one order; handedness: 1 for a rotation, -1 with a reflection."""
-    count = len(source)
-    uvs_fit = (np.abs(mesh.uvs[source] - mesh.uvs[target]) < 1e-3).reshape(count, -1).all(axis=1)
-    x, y = (mesh.positions[corners].astype(np.float64).reshape(count, -1, 3) for corners in (source, target))
+    uvs_fit = (np.abs(mesh.uvs[source] - mesh.uvs[target]) < 1e-3).all(axis=(1, 2, 3))
+    x, y = (
+        mesh.positions[corners].astype(np.float64).reshape(len(source), 3 * source.shape[1], 3)
+        for corners in (source, target)
+    )
     x_center, y_center = x.mean(axis=1), y.mean(axis=1)
     x -= x_center[:, None]
     y -= y_center[:, None]

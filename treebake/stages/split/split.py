@@ -23,7 +23,7 @@ class SplitSettings:
     trunk_materials: tuple[str, ...] = ()  # materials that are trunk whatever they look like
     bend: float = 0.3  # 0..1, how far a leaf may depart from a plane before it is cut: 0 flat, 0.5 a half-turn
     large_leaf: float = 0.2  # of the tree's radius, > 0; a leaf larger than this may bend less, in proportion
-    copy_tolerance: float = 0.005  # of a leaf's radius, >= 0; greatest distance between the vertices of two copies
+    copy_tolerance: float = 0.02  # of a leaf's radius, >= 0; greatest distance between the vertices of two copies
 
 
 def split(mesh: Mesh, settings: SplitSettings = SplitSettings()) -> Tree:
