@@ -1,9 +1,7 @@
 """Meshes out: binary glTF 2.0 that any viewer draws, byte-identical for the same input."""
 
 import json
-import os
 import struct
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from treebake import __version__
-from treebake.errors import WorkspaceError
+from treebake.files import atomic
 from treebake.images import encode_png
 from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Mesh, Texture
 
@@ -30,19 +28,8 @@ def write_glb(path: Path, nodes: Sequence[tuple[str, Mesh]], extras: Json | None
     Raises WorkspaceError where the file cannot be written.
     """
     data = encode_glb(nodes, extras)
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            try:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-                Path(file.name).chmod(0o644)
-                Path(file.name).replace(path)
-            except BaseException:
-                Path(file.name).unlink()
-                raise
-    except OSError as error:
-        raise WorkspaceError(f"{path} cannot be written ({error.strerror}); check the folder and its space") from error
+    with atomic(path) as file:
+        file.write(data)
 
 
 def encode_glb(nodes: Sequence[tuple[str, Mesh]], extras: Json | None = None) -> bytes:

@@ -18,8 +18,6 @@ from treebake.settings import Settings
 from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
 from treebake.stages.split import split
-from treebake.stages.trunk import trunk
-from treebake.stages.twigs import twigs
 from treebake.workspace import Result, Workspace
 
 
@@ -50,7 +48,7 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
         mesh = read_mesh(path, settings.load)
         work.keep("source", Source(path.stem, mesh.triangles, mesh.bounds))
     parts = work.run(split, settings.split, Result.of(mesh))
-    tree = work.run(twigs, settings.twigs, parts)
+    tree = parts
     clusters = work.run(cluster, settings.cluster, tree.part("leaves")) if tree.value.leaves.count else None
     return Clustered(parts, tree, clusters)
 
@@ -63,13 +61,13 @@ def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Path
     """
     command = f"treebake cluster TREE -o {work.folder}"
     source: Source = work.read("source", command).value
-    tree = work.read("twigs", command)
+    tree = work.read("split", command)
     if tree.value.leaves.count:
         clusters = work.read("cluster", command, tree.part("leaves"))
         cloud = work.run(billboards, settings.textures, tree, clusters).value
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
-    stem = work.run(trunk, settings.trunk, tree.part("trunk")).value
+    stem = tree.value.trunk
     folder = out / source.name if out else work.folder
     with work.announce("asset", skipped=False):
         write_asset(BakedTree(source.name, cloud, stem, source.triangles, source.bounds), folder)

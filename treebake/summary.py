@@ -1,17 +1,17 @@
 """What the commands report: plain numbers and texts by name, ready for the terminal or for JSON."""
 
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from treebake.asset import read_asset
-from treebake.meshes import read_mesh
 from treebake.model import Mesh, Tree
-from treebake.pipeline import Clustered
-from treebake.settings import Settings
 from treebake.stages.cluster import cluster_statistics
-from treebake.stages.split import split
+
+if TYPE_CHECKING:
+    from treebake.pipeline import Clustered
 
 Facts = dict[str, Any]
 
@@ -31,7 +31,7 @@ def of_mesh(mesh: Mesh) -> Facts:
                 "triangles": int(count),
                 "alpha": str(material.alpha_mode),
                 "double_sided": material.double_sided,
-                "colour map": "x".join(map(str, material.color_map.pixels.shape[1::-1])) if material.color_map else "",
+                "color_map": "x".join(map(str, material.color_map.pixels.shape[1::-1])) if material.color_map else "",
             }
             for material, count in zip(mesh.materials, faces, strict=True)
         ],
@@ -42,19 +42,38 @@ def of_tree(tree: Tree) -> Facts:
     """Where the split put what, and why."""
     return {
         "leaves": int(np.count_nonzero(~tree.leaves.is_twig)),
-        "leaf shapes": len(tree.leaves.exemplars),
+        "leaf_shapes": len(tree.leaves.exemplars),
         "split": [
             {"role": d.role, "triangles": d.triangles, "group": d.group, "why": d.reason} for d in tree.decisions
         ],
     }
 
 
-def of_clustered(done: Clustered) -> Facts:
+def of_clustered(done: "Clustered") -> Facts:
     """What `treebake cluster` prints."""
     tree = done.tree.value
     facts = of_tree(done.split.value)
-    facts["twig triangles moved to the foliage"] = tree.foliage.triangles - done.split.value.foliage.triangles
+    facts["twig_triangles_moved_to_foliage"] = tree.foliage.triangles - done.split.value.foliage.triangles
     if done.clusters:
-        facts["billboards"] = done.clusters.value.count
-        facts["fit"] = cluster_statistics(tree.leaves, done.clusters.value)
+        fit = cluster_statistics(tree.leaves, done.clusters.value)
+        facts["billboards"] = fit.billboards
+        facts["fit"] = {  # a source unit is a metre, by glTF's rule
+            "distance_mean_cm": 100 * fit.distance_mean,
+            "distance_worst_cm": 100 * fit.distance_worst,
+            "distance_mean_percent_of_leaf_size": fit.distance_percent,
+            "angle_mean_degrees": fit.angle_mean,
+            "angle_worst_degrees": fit.angle_worst,
+        }
     return facts
+
+
+def of_asset(folder: Path) -> Facts:
+    """What the manifest of a published asset says. Raises AssetError."""
+    manifest = read_asset(folder).manifest
+    return {
+        "name": manifest.name,
+        "made_by": manifest.generator,
+        "source_triangles": manifest.source.triangles,
+        "levels": [{**asdict(level), "representations": "+".join(level.representations)} for level in manifest.levels],
+        "textures": [{**asdict(image), "size": "x".join(map(str, image.size))} for image in manifest.textures],
+    }

@@ -4,9 +4,11 @@ import json
 import logging
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
+
+Advance = Callable[[int, int], None]  # called with the steps done and to do
 
 
 class Terminal:
@@ -22,11 +24,11 @@ class Terminal:
         logger.propagate = False
 
     @contextmanager
-    def announce(self, stage: str, *, skipped: bool) -> Iterator[None]:
+    def announce(self, stage: str, *, skipped: bool = False) -> Iterator[Advance]:
         """Show a stage while it runs (a bar, on a terminal only), then one line that says how it went."""
         start = time.perf_counter()
-        with self._bar(stage):
-            yield
+        with self._bar(stage) as advance:
+            yield advance
         if not self.quiet:
             say(f"{stage:<10} {'up to date' if skipped else f'{time.perf_counter() - start:.1f} s'}")
 
@@ -38,17 +40,17 @@ class Terminal:
             print("\n".join(_text(facts)))
 
     @contextmanager
-    def _bar(self, stage: str) -> Iterator[None]:
+    def _bar(self, stage: str) -> Iterator[Advance]:
         if self.quiet or not sys.stderr.isatty():
-            yield
+            yield lambda _done, _total: None
             return
         from rich.console import Console
         from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
         columns = (SpinnerColumn(), TextColumn("{task.description:<10}"), BarColumn(), TimeElapsedColumn())
         with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-            progress.add_task(stage, total=None)
-            yield
+            task = progress.add_task(stage, total=None)
+            yield lambda done, total: progress.update(task, completed=done, total=total)
 
 
 class _Lines(logging.Handler):
@@ -72,21 +74,22 @@ def say(line: str) -> None:
 
 def _text(facts: dict[str, Any]) -> Iterator[str]:
     width = max(map(len, facts), default=0)
-    for name, value in facts.items():
+    for key, value in facts.items():
+        name = key.replace("_", " ")
         if isinstance(value, dict):
             yield f"{name}:"
             yield from (f"  {line}" for line in _text(value))
         elif isinstance(value, list) and value and isinstance(value[0], dict):
             yield f"{name}:"
             yield from (f"  {line}" for line in _table(value))
-        elif value is not None:
+        elif value not in (None, []):
             yield f"{name:<{width}}  {_cell(value)}"
 
 
 def _table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Rows of equal keys, numbers to the right."""
     names = list(rows[0])
-    cells = [names, *([_cell(row[name]) for name in names] for row in rows)]
+    cells = [[name.replace("_", " ") for name in names], *([_cell(row[name]) for name in names] for row in rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(names))]
     right = [all(isinstance(row[name], (int, float)) for row in rows) for name in names]
     for row in cells:
@@ -100,7 +103,7 @@ def _cell(value: Any) -> str:
     if isinstance(value, int):
         return f"{value:,}"
     if isinstance(value, float):
-        return f"{value:.4g}"
+        return f"{round(value, 4):g}"
     if isinstance(value, list):
         return ", ".join(map(_cell, value))
     return str(value)

@@ -1,0 +1,86 @@
+"""Runs `treebake` as a user does, and keeps what several rows share."""
+
+import json
+import subprocess
+import sys
+import time
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+TREES = Path(__file__).parents[3] / "shared/trees"
+
+
+class NotMeasured(Exception):  # noqa: N818, it is no error
+    """Why a row has no figure in this run."""
+
+
+class Runner:
+    """A folder for this run's bakes, and the commands that fill it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        self.source = cache(self._source)
+        self.asset = cache(self._asset)
+        self.scores = cache(self._scores)
+
+    def treebake(self, *arguments: object, allowed: tuple[int, ...] = (0,)) -> Any:
+        """Run one command and return its JSON result."""
+        command = [sys.executable, "-m", "treebake", *map(str, arguments), "--json", "--quiet"]
+        done = subprocess.run(command, check=False, capture_output=True, text=True)
+        if done.returncode not in allowed:
+            raise RuntimeError(f"{' '.join(command)} failed: {done.stderr.strip()}")
+        return json.loads(done.stdout)
+
+    def _source(self, name: str) -> Path:
+        """A tree of ../shared/trees, or a grown one by its species."""
+        if "." in name:
+            if not (TREES / name).exists():
+                raise NotMeasured(f"{TREES / name} is absent")
+            return TREES / name
+        path = self.folder / f"{name}.glb"
+        self.treebake("grow", name, "-o", path)
+        return path
+
+    def _asset(self, name: str, *options: str, into: str = "bakes") -> Path:
+        """Bake a tree, from the first stage on, and return the asset's folder."""
+        out = self.folder / into
+        return Path(self.treebake("bake", self.source(name), "-o", out, "--force", *options)["asset"])
+
+    def _scores(self, name: str, *options: str, into: str = "bakes", heights: tuple[int, ...]) -> dict[int, Any]:
+        """Verify a baked tree; returns the figures by height."""
+        asset = self.asset(name, *options, into=into)
+        sizes = f"verify.heights={list(heights)}"
+        command = ("verify", asset, "--source", self.source(name), "--set", sizes, *_configs(options))
+        return {row["height"]: row for row in self.treebake(*command)["heights"]}
+
+    def render_seconds(self, name: str) -> float:
+        """R: the median time of drawing the source once, 1024 x 1024, and reading the picture back."""
+        from treebake.gl.draw import Drawing
+        from treebake.meshes import read_mesh
+        from treebake.verify.cameras import MARGIN, cameras
+
+        mesh = read_mesh(self.source(name))
+        drawing = Drawing(mesh)
+        views = [camera.view(1024 - MARGIN) for camera in cameras(mesh, (0.0, 25.0, 60.0), 8)]
+        drawing.picture(views[0])  # the first one compiles
+        return median(_timed(lambda view=view: drawing.picture(view)) for view in views)
+
+    def bake_seconds(self, name: str, *options: str) -> float:
+        """The wall time of `treebake bake` from process start to exit."""
+        source = self.source(name)
+        out = self.folder / "timed"
+        return _timed(lambda: self.treebake("bake", source, "-o", out, "--force", *options))
+
+
+def _configs(options: tuple[str, ...]) -> list[str]:
+    return [word for pair in pairwise(options) if pair[0] == "--config" for word in pair]
+
+
+def _timed(work: Any) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start

@@ -1,0 +1,351 @@
+"""The command line: its commands, its exits, and one clear line for every bad input."""
+
+import base64
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from treebake import cli, pipeline
+from treebake.glb import write_glb
+from treebake.model import Material, Mesh
+
+COMMANDS = {"grow", "cluster", "textures", "bake", "verify", "inspect"}
+TEXTURES = ["--set", "textures.atlas=128", "--set", "textures.supersample=1"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    code: int
+    out: str
+    err: str
+
+    @property
+    def lines(self) -> list[str]:
+        return self.err.splitlines()
+
+
+@pytest.fixture
+def treebake(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+    def run(*arguments: object) -> Outcome:
+        monkeypatch.setattr(sys, "argv", ["treebake", *map(str, arguments)])
+        with pytest.raises(SystemExit) as exit_:
+            cli.main()
+        captured = capsys.readouterr()
+        return Outcome(int(exit_.value.code or 0), captured.out, captured.err)
+
+    return run
+
+
+def leafy(count: int, *, coplanar: bool = False) -> tuple[tuple[str, Mesh], ...]:
+    """A box of a trunk and `count` leaves, triangles of 10 cm, on a crown of 1 m."""
+    rng = np.random.default_rng(0)
+    corners = rng.normal(size=(count, 3, 3)) * 0.05 + rng.normal(size=(count, 1, 3)) + [0, 3, 0]
+    if coplanar:
+        corners[..., 1] = 3
+    positions = corners.reshape(-1, 3).astype(np.float32)
+    faces = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    box = np.array([[x, y, z] for x in (0, 0.1) for y in (0, 3) for z in (0, 0.1)], np.float32)
+    quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]], np.int32)
+    return (
+        ("trunk", mesh(box, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3), Material("bark", (0.2, 0.1, 0.05, 1.0)))),
+        ("leaves", mesh(positions, faces, Material("leaf", (0.1, 0.4, 0.1, 1.0), double_sided=True))),
+    )
+
+
+def mesh(positions: Any, faces: Any, material: Material) -> Mesh:
+    zeros = np.zeros(len(faces), np.int32)
+    up = np.tile(np.array([0, 1, 0], np.float32), (len(positions), 1))
+    return Mesh(positions, up, positions[:, :2] * 0, faces, zeros, zeros, (material,), ("node",))
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    write_glb(tmp_path / "tree.glb", leafy(40))
+    return tmp_path / "tree.glb"
+
+
+def gltf(
+    path: Path, positions: Any = ((1, 0, 0), (0, 1, 0), (0, 0, 1)), indices: Any = (0, 1, 2), **extra: Any
+) -> Path:
+    """A glTF file of one primitive, right or wrong."""
+    points, corners = np.asarray(positions, np.float32), np.asarray(indices, np.uint32)
+    data = points.tobytes() + corners.tobytes()
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}],
+        "materials": [{"name": "leaf"}],
+        "buffers": [{"byteLength": len(data), "uri": f"data:;base64,{base64.b64encode(data).decode()}"}],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": points.nbytes},
+            {"buffer": 0, "byteOffset": points.nbytes, "byteLength": corners.nbytes},
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": len(points), "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5125, "count": len(corners), "type": "SCALAR"},
+        ],
+    }
+    path.write_text(json.dumps({**document, **extra}))
+    return path
+
+
+def missing(folder: Path) -> Path:
+    return folder / "nowhere.glb"
+
+
+def truncated(folder: Path) -> Path:
+    write_glb(folder / "bad.glb", leafy(3))
+    data = (folder / "bad.glb").read_bytes()
+    (folder / "bad.glb").write_bytes(data[: len(data) // 2])
+    return folder / "bad.glb"
+
+
+def not_a_mesh(folder: Path) -> Path:
+    (folder / "bad.glb").write_text("Dear tree,")
+    return folder / "bad.glb"
+
+
+def unknown_suffix(folder: Path) -> Path:
+    (folder / "bad.docx").write_text("Dear tree,")
+    return folder / "bad.docx"
+
+
+def no_triangles(folder: Path) -> Path:
+    (folder / "bad.obj").write_text("v 0 0 0\n")
+    return folder / "bad.obj"
+
+
+def nan_vertex(folder: Path) -> Path:
+    return gltf(folder / "bad.gltf", [[0, 0, 0], [1, 0, 0], [0, np.nan, 0]])
+
+
+def index_out_of_range(folder: Path) -> Path:
+    return gltf(folder / "bad.gltf", indices=(0, 1, 3))
+
+
+def uri_leaving_the_folder(folder: Path) -> Path:
+    (folder.parent / "outside.bin").write_bytes(bytes(48))
+    return gltf(folder / "bad.gltf", buffers=[{"byteLength": 48, "uri": "../outside.bin"}])
+
+
+BAD = [
+    (missing, "nowhere.glb"),
+    (truncated, "bad.glb"),
+    (not_a_mesh, "bad.glb"),
+    (unknown_suffix, "bad.docx"),
+    (no_triangles, "triangle"),
+    (nan_vertex, "NaN"),
+    (index_out_of_range, "vertex"),
+    (uri_leaving_the_folder, "outside.bin"),
+]
+
+
+@pytest.mark.parametrize(("make", "says"), BAD, ids=lambda value: getattr(value, "__name__", ""))
+@pytest.mark.parametrize("command", ["bake", "cluster"])
+def test_bad_tree_is_one_line_and_exit_2(
+    tmp_path: Path, treebake: Callable[..., Outcome], make: Callable[[Path], Path], says: str, command: str
+) -> None:
+    (tmp_path / "in").mkdir()
+    result = treebake(command, make(tmp_path / "in"), "-o", tmp_path / "out", "-q")
+    assert (result.code, result.out) == (2, "")
+    assert len(result.lines) == 1
+    assert result.lines[0].startswith("treebake: error: ")
+    assert says in result.lines[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_commands_are_these() -> None:
+    assert set(cli.cli.commands) == COMMANDS
+
+
+@pytest.mark.parametrize("command", sorted(COMMANDS))
+def test_help_names_units_and_defaults_of_the_dataclasses(treebake: Callable[..., Outcome], command: str) -> None:
+    text = " ".join(treebake(command, "--help").out.split())
+    for option in cli.cli.commands[command].params:
+        if isinstance(option, cli.SettingOption):
+            setting = __import__("treebake.settings", fromlist=["keys"]).keys()[option.key]
+            assert setting.help
+            assert f"{setting.help} [{option.key}, default: {setting.default}]" in text
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = "import sys; from treebake.cli import cli; cli(['--help'], standalone_mode=False); print(*sys.modules)"
+    modules = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
+    assert not {"numpy", "scipy", "moderngl", "rich", "msgspec"} & set(modules.split())
+
+
+def test_bake_publishes_and_says_what(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    result = treebake("bake", tree, "-o", tmp_path / "out", "--billboards", 7, *TEXTURES, "--json")
+    assert result.code == 0, result.err
+    facts = json.loads(result.out)
+    assert facts["asset"] == str(tmp_path / "out/tree")
+    assert (facts["leaves"], facts["billboards"], facts["source_triangles"]) == (40, 7, 52)
+    assert (tmp_path / "out/tree/tree_LOD0.glb").exists()
+
+
+def test_two_bakes_give_the_same_bytes(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    for out in ("a", "b"):
+        assert treebake("bake", tree, "-o", tmp_path / out, *TEXTURES).code == 0
+    first, second = (sorted(p for p in (tmp_path / out).rglob("*") if p.is_file()) for out in ("a", "b"))
+    assert [p.relative_to(tmp_path / "a") for p in first] == [p.relative_to(tmp_path / "b") for p in second]
+    assert [p.name for p, q in zip(first, second, strict=True) if p.read_bytes() != q.read_bytes()] == []
+
+
+def test_second_bake_skips_the_stages_and_says_so(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    treebake("bake", tree, "-o", tmp_path, *TEXTURES)
+    again = treebake("bake", tree, "-o", tmp_path, *TEXTURES)
+    skipped = [line.split()[0] for line in again.lines if line.endswith("up to date")]
+    assert skipped == ["split", "twigs", "cluster", "billboards", "trunk"]
+    forced = treebake("bake", tree, "-o", tmp_path, *TEXTURES, "--force")
+    assert "up to date" not in forced.err
+
+
+def test_only_what_depends_on_a_setting_runs_again(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    treebake("bake", tree, "-o", tmp_path, *TEXTURES)
+    again = treebake("bake", tree, "-o", tmp_path, *TEXTURES, "--trunk-triangles", 100)
+    skipped = [line.split()[0] for line in again.lines if line.endswith("up to date")]
+    assert skipped == ["split", "twigs", "cluster", "billboards"]
+
+
+def test_cluster_then_textures_is_bake(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    treebake("bake", tree, "-o", tmp_path, *TEXTURES)
+    assert treebake("cluster", tree, "-o", tmp_path / "work").code == 0
+    assert treebake("textures", tmp_path / "work", "-o", tmp_path / "out", *TEXTURES).code == 0
+    baked, made = ((tmp_path / folder / "tree/tree_LOD0.glb").read_bytes() for folder in (".", "out"))
+    assert baked == made
+
+
+def test_textures_without_cluster_names_the_command(tmp_path: Path, treebake: Callable[..., Outcome]) -> None:
+    result = treebake("textures", tmp_path / "work")
+    assert result.code == 2
+    assert f"treebake cluster TREE -o {tmp_path / 'work'}" in result.err
+
+
+def test_missing_texture_warns_and_goes_on(tmp_path: Path, treebake: Callable[..., Outcome]) -> None:
+    textured = {
+        "materials": [{"name": "leaf", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}],
+        "textures": [{"source": 0}],
+        "images": [{"uri": "gone.png"}],
+    }
+    result = treebake("bake", gltf(tmp_path / "tree.gltf", **textured), "-o", tmp_path / "out", "-q", *TEXTURES)
+    assert result.code == 0, result.err
+    assert any(line.startswith("treebake: warning: ") and "gone.png" in line for line in result.lines)
+
+
+def test_tree_without_leaves_is_all_trunk_with_a_warning(tmp_path: Path, treebake: Callable[..., Outcome]) -> None:
+    write_glb(tmp_path / "bare.glb", leafy(1)[:1])
+    result = treebake("bake", tmp_path / "bare.glb", "-o", tmp_path / "out", *TEXTURES, "--json")
+    assert result.code == 0, result.err
+    assert "treebake: warning: split: no foliage" in result.err
+    assert json.loads(result.out)["levels"][0]["representations"] == "trunk"
+
+
+@pytest.mark.parametrize(
+    ("leaves", "coplanar"), [(1, False), (5, False), (30, True)], ids=["one leaf", "fewer than billboards", "coplanar"]
+)
+def test_odd_foliage_still_bakes(tmp_path: Path, treebake: Callable[..., Outcome], leaves: int, coplanar: bool) -> None:
+    write_glb(tmp_path / "odd.glb", leafy(leaves, coplanar=coplanar))
+    result = treebake("bake", tmp_path / "odd.glb", "-o", tmp_path / "out", "--billboards", 8, *TEXTURES, "--json")
+    assert result.code == 0, result.err
+    facts = json.loads(result.out)
+    assert facts["leaves"] == leaves
+    assert 1 <= facts["billboards"] <= min(8, leaves)
+
+
+def test_unwritable_output_is_one_line(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    (tmp_path / "out").write_text("a file, not a folder")
+    result = treebake("bake", tree, "-o", tmp_path / "out", "-q")
+    assert (result.code, len(result.lines)) == (2, 1)
+    assert "cannot be written" in result.err
+    assert treebake("grow", "chestnut", "--leaves", 10, "-o", tmp_path / "out/tree.glb", "-q").code == 2
+
+
+def test_no_opengl_names_the_packages_and_publishes_nothing(tmp_path: Path, tree: Path) -> None:
+    command = [sys.executable, "-m", "treebake", "bake", str(tree), "-o", str(tmp_path / "out"), "-q"]
+    environment = {**os.environ, "__EGL_VENDOR_LIBRARY_FILENAMES": "/dev/null"}  # the loader finds no driver
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
+    assert (done.returncode, len(done.stderr.splitlines())) == (2, 1), done.stderr
+    assert "libegl1 libgl1 libgl1-mesa-dri" in done.stderr
+    assert not (tmp_path / "out/tree/manifest.json").exists()
+
+
+def test_interrupt_is_one_line_and_the_next_run_goes_on(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def cluster(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pipeline, "cluster", cluster)
+        stopped = treebake("cluster", tree, "-o", tmp_path / "work")
+    assert stopped.code == 130
+    assert "Traceback" not in stopped.err
+    assert stopped.lines[-1].startswith("treebake: interrupted")
+    resumed = treebake("cluster", tree, "-o", tmp_path / "work")
+    assert resumed.code == 0
+    assert [line.split()[0] for line in resumed.lines if line.endswith("up to date")] == ["split", "twigs"]
+
+
+def test_a_real_ctrl_c_leaves_no_half_written_file(tmp_path: Path) -> None:
+    write_glb(tmp_path / "tree.glb", leafy(3000))
+    command = [sys.executable, "-m", "treebake", "bake", "tree.glb", "-o", "out"]
+    with subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr
+        assert process.stderr.readline().startswith("load")
+        process.send_signal(signal.SIGINT)
+        rest = process.stderr.read()
+    assert process.returncode == 130, rest
+    assert "Traceback" not in rest
+    written = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
+    assert written <= {"source.npz", "split.npz", "twigs.npz", "cluster.npz", "billboards.npz", "trunk.npz"}
+
+
+def test_unknown_command_and_unknown_setting_exit_2(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    assert treebake("chop").code == 2
+    result = treebake("cluster", tree, "-o", tmp_path, "--set", "cluster.billbords=3")
+    assert result.code == 2
+    assert "did you mean cluster.billboards?" in result.err
+
+
+def test_flags_override_set_which_overrides_the_file(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    config = tmp_path / "config.toml"
+    config.write_text("[cluster]\nbillboards = 3\n")
+    base = ("cluster", tree, "-o", tmp_path / "work", "--json", "--config", config)
+    assert json.loads(treebake(*base).out)["billboards"] == 3
+    assert json.loads(treebake(*base, "--set", "cluster.billboards=4").out)["billboards"] == 4
+    both = (*base, "--set", "cluster.billboards=4", "--billboards", 5)
+    assert json.loads(treebake(*both).out)["billboards"] == 5
+
+
+def test_quiet_says_nothing_where_all_is_well(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    result = treebake("cluster", tree, "-o", tmp_path / "work", "-q")
+    assert (result.code, result.out, result.err) == (0, "", "")
+
+
+def test_version(treebake: Callable[..., Outcome]) -> None:
+    assert treebake("--version").out.startswith("treebake ")
+
+
+def test_grow_is_seeded(tmp_path: Path, treebake: Callable[..., Outcome]) -> None:
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        result = treebake("grow", "maple", "--leaves", 20, "--seed", seed, "-o", tmp_path / f"{name}.glb", "--json")
+        assert json.loads(result.out)["triangles"] > 20
+    a, b, c = ((tmp_path / f"{name}.glb").read_bytes() for name in "abc")
+    assert a == b != c
