@@ -51,7 +51,7 @@ def read_gltf(path: Path) -> list[Part]:
             if "mesh" in node
             for part in _parts(file, node, world @ _instances(file, node), material)
         ]
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, struct.error) as error:
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError, struct.error) as error:
         raise MeshError(f"{path} is no valid glTF ({type(error).__name__}: {error}); export it again") from error
 
 
