@@ -26,7 +26,7 @@ _QUICK_HEIGHT = 256
 class VerifySettings:
     """How a candidate is judged."""
 
-    heights: tuple[int, ...] = (512, 256, 128, 64)  # heights of the source's bounding sphere, pixels, each 16 to 4096
+    heights: tuple[int, ...] = (512, 256, 128, 64)  # heights of the source's bounding sphere, pixels, each 16 to 2048
     elevations: tuple[float, ...] = (0.0, 25.0, 60.0)  # degrees above the horizon, -90 to 90
     azimuths: int = 8  # evenly spaced views around the tree at each elevation, 1 or more
     quick: bool = False  # only a third of the views, and only at 256 pixels
@@ -109,7 +109,7 @@ def verify(
 
 def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Camera, ...]]:
     for bad, what in (
-        (not settings.heights or not all(16 <= height <= 4096 for height in settings.heights), "heights: 16 to 4096"),
+        (not settings.heights or not all(16 <= height <= 2048 for height in settings.heights), "heights: 16 to 2048"),
         (not settings.elevations or not all(-90 <= e <= 90 for e in settings.elevations), "elevations: -90 to 90"),
         (settings.azimuths < 1, "azimuths: 1 or more"),
     ):

@@ -1,0 +1,128 @@
+"""The metrics, against pictures small enough to work out by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.synthetic import joined, quad, small_tree, texture
+from treebake.gl.draw import Picture
+from treebake.images import flip_error, to_srgb
+from treebake.model import Material
+from treebake.verify.metrics import GREY, SKY, Scores, draw_calls, gpu_bytes, over, score, similarity
+
+SIZE = 64
+NO_TRUNK = np.zeros((SIZE, SIZE), np.float32)
+
+
+def picture(rows: slice, columns: slice, *, alpha: float = 1.0, depth: float = 5.0, color: float = 0.3) -> Picture:
+    """A rectangle of one colour."""
+    pixels, depths = np.zeros((SIZE, SIZE, 4), np.float32), np.zeros((SIZE, SIZE), np.float32)
+    pixels[rows, columns] = (color * alpha, color * alpha, color * alpha, alpha)
+    depths[rows, columns] = depth
+    return Picture(pixels, depths)
+
+
+ALL = slice(None)
+LEFT = picture(ALL, slice(0, 32))
+NOTHING = picture(slice(0, 0), ALL)
+
+
+def test_a_picture_against_itself() -> None:
+    s = score(LEFT, LEFT, NO_TRUNK)
+    assert (s.flip[0], s.iou[0], s.area[0], s.depth[0]) == (0, 1, 32 * SIZE, 0)
+    assert s.ssim[0] == pytest.approx(1)
+
+
+def test_nothing_against_nothing() -> None:
+    s = score(NOTHING, NOTHING, NO_TRUNK)
+    assert (s.flip[0], s.iou[0], s.area[0]) == (0, 1, 0)
+    assert np.isnan(s.depth[0])
+
+
+def test_shifted_rectangle() -> None:
+    s = score(LEFT, picture(ALL, slice(16, 48), depth=5.25), NO_TRUNK)
+    assert s.iou[0] == pytest.approx(16 / 48)
+    assert s.area[0] == 32 * SIZE
+    assert s.depth[0] == pytest.approx(0.25)
+    assert 0 < s.flip[0] < 1
+    assert s.ssim[0] < 0.9
+
+
+def test_half_covered_pixels_count_half() -> None:
+    s = score(LEFT, picture(ALL, slice(0, 32), alpha=0.5), NO_TRUNK)
+    assert s.area[0] == 16 * SIZE
+    assert s.iou[0] == pytest.approx(0.5)
+
+
+def test_depth_is_compared_where_both_cover_half_a_pixel() -> None:
+    assert np.isnan(score(LEFT, picture(ALL, slice(0, 32), alpha=0.49), NO_TRUNK).depth[0])
+
+
+def test_what_the_trunk_covers_is_no_foliage() -> None:
+    trunk = picture(ALL, slice(0, 8)).color[..., 3] + 0.5 * picture(ALL, slice(8, 16)).color[..., 3]
+    assert score(NOTHING, LEFT, trunk).foliage_area[0] == (16 + 4) * SIZE
+
+
+def test_flip_and_ssim_are_means_over_the_window_and_two_backgrounds() -> None:
+    """What is computed only around the tree is what computing it everywhere gives."""
+    rng = np.random.default_rng(3)
+    pictures = []
+    for _ in range(2):
+        pixels = np.zeros((96, 96, 4), np.float32)
+        alpha = rng.random((30, 20, 1), np.float32)
+        pixels[40:70, 30:50] = np.concatenate([rng.random((30, 20, 3), np.float32) * alpha, alpha], axis=2)
+        pictures.append(Picture(pixels, np.zeros((96, 96), np.float32)))
+    s = score(*pictures, np.zeros((96, 96), np.float32))
+    pairs = [[over(p, background) for p in pictures] for background in (SKY, GREY)]
+    assert s.flip[0] == pytest.approx(np.mean([flip_error(*pair).mean() for pair in pairs]), rel=1e-4)
+    assert s.ssim[0] == pytest.approx(np.mean([similarity(*pair).mean() for pair in pairs]), rel=1e-6)
+
+
+def test_over_composites_premultiplied_light() -> None:
+    half = picture(ALL, ALL, alpha=0.5, color=0.4)
+    assert np.allclose(over(half, (0.2, 0.4, 0.6)), [0.3, 0.4, 0.5])
+    assert over(half, (9.0, 0.0, 0.0)).max() == 1
+
+
+def ssim_at(a: np.ndarray, b: np.ndarray, row: int, column: int) -> float:
+    """SSIM of one pixel by the definition."""
+    offsets = np.arange(-5, 6)
+    weights = np.exp(-(offsets[:, None] ** 2 + offsets[None] ** 2) / (2 * 1.5**2))
+    weights /= weights.sum()
+    luminance = [to_srgb(image @ np.float32([0.2126, 0.7152, 0.0722])) / 255 for image in (a, b)]
+    x, y = (image[row - 5 : row + 6, column - 5 : column + 6] for image in luminance)
+    mx, my = (weights * x).sum(), (weights * y).sum()
+    vx, vy = (weights * (x - mx) ** 2).sum(), (weights * (y - my) ** 2).sum()
+    cov = (weights * (x - mx) * (y - my)).sum()
+    return ((2 * mx * my + 1e-4) * (2 * cov + 9e-4)) / ((mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4))
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), row=st.integers(5, 18), column=st.integers(5, 26))
+def test_ssim_matches_its_definition(seed: int, row: int, column: int) -> None:
+    a, b = np.random.default_rng(seed).random((2, 24, 32, 3), np.float32)
+    assert similarity(a, b)[row, column] == pytest.approx(ssim_at(a, b, row, column), abs=1e-9)
+
+
+def test_gathered_scores_keep_their_order() -> None:
+    views = [score(LEFT, other, NO_TRUNK) for other in (LEFT, NOTHING)]
+    assert Scores.gather(views).iou.tolist() == [1, 0]
+
+
+def test_a_draw_call_for_each_material_of_each_node() -> None:
+    assert draw_calls(small_tree()) == 4
+    one_node = replace(small_tree(), face_node=np.zeros(8, np.int32))
+    assert draw_calls(one_node) == 4  # the three leaves have a material each
+    assert draw_calls(replace(one_node, face_material=np.array([0, 0] + [1] * 6, np.int32))) == 2
+    assert draw_calls(small_tree().select(np.zeros(8, bool))) == 0
+
+
+def test_gpu_bytes_count_each_used_texture_once_with_mipmaps() -> None:
+    image = texture(np.zeros((2, 4, 3)))  # 4x2, 2x1, 1x1
+    maps = Material("maps", color_map=image, normal_map=texture(np.zeros((1, 1, 3))))
+    unused = Material("unused", color_map=texture(np.zeros((64, 64, 3))))
+    mesh = joined(quad(maps), quad(Material("same", color_map=image)), quad(unused)).select(np.arange(6) < 4)
+    assert gpu_bytes(mesh) == 4 * (8 + 2 + 1) + 4 * 1 + 8 * 32 + 12 * 4
