@@ -164,7 +164,8 @@ _FIELDS = tuple(field.name for field in fields(Reference))
 
 
 def _read(path: Path, key: str) -> Reference | None:
-    with suppress(OSError, KeyError, ValueError, zipfile.BadZipFile), np.load(path, allow_pickle=False) as file:
+    damage = OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile
+    with suppress(*damage), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
         if str(file["key"]) == key:  # a damaged file or another one's is simply made again
             values: dict[str, Any] = {name: Scores(*file[name]) if name in _SCORES else file[name] for name in _FIELDS}
             return Reference(**values)
