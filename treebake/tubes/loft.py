@@ -66,7 +66,11 @@ def loft(mesh: Mesh, tubes: Tubes, chosen: Plan) -> tuple[Mesh, Longs]:
 
 
 def _sample(rings: Rings, ring: Longs, fraction: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-    """Position, normal and texture coordinates at a fraction of a ring's perimeter, blended between its samples."""
+    """Position, normal and texture coordinates at a fraction of a ring's perimeter, blended between its samples.
+
+    So is the distance from the centre: the source's polygon stands for a round branch, and points on its sides would
+    make a new one that is lopsided.
+    """
     owner = np.repeat(np.arange(len(rings.sides)), np.diff(rings.first))
     index = np.searchsorted(2 * owner + rings.fractions, 2 * ring + fraction, side="right") - 1
     index = np.clip(index, rings.first[ring], rings.first[ring + 1] - 2)
@@ -76,7 +80,11 @@ def _sample(rings: Rings, ring: Longs, fraction: Doubles) -> tuple[Doubles, Doub
         values[index] + t * (values[index + 1] - values[index])
         for values in (rings.positions, rings.normals, rings.uvs)
     )
-    return position, normal, uv
+    center = rings.centers[ring]
+    near, far = (np.linalg.norm(rings.positions[index + end] - center, axis=1) for end in (0, 1))
+    cut = np.linalg.norm(position - center, axis=1)
+    bulge = np.where(cut > 0, (near + t[:, 0] * (far - near)) / np.where(cut > 0, cut, 1), 1)
+    return center + bulge[:, None] * (position - center), normal, uv
 
 
 def _zip(columns: Longs, point: Mask, offset: Longs, lower: Longs, strand: Longs) -> tuple[Longs, Longs]:
