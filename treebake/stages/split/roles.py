@@ -20,7 +20,6 @@ _FOLIAGE_WORDS = re.compile(r"lea[fv]|foliage|frond|needle|flower|blossom|petal|
 _TRUNK_WORDS = re.compile(r"bark|trunk|branch|wood|stem|root|twig|\blog\b", re.IGNORECASE)
 _DECISIVE = 3.0  # points at which a material goes one way whatever its geometry says
 _CUT_AWAY = 0.05  # share of transparent texels from which a texture counts as cut out
-_DEBRIS = 0.01  # share of the area up to which loose sheets count as part of the trunk
 _HOLLOW, _ROUND = 0.25, 0.35  # resultant below which, and bend above which, a piece is a tube or body; see Patches
 
 Evidence = tuple[float, str]
@@ -71,7 +70,7 @@ def decide(mesh: Mesh, names: Names) -> tuple[Mask, tuple[Decision, ...]]:
         sheets, share = _sheets(mesh, faces)
         evidence.append((2.0 if share > 0.5 else -2.0, f"{share:.0%} of its area lies in open sheets"))
         points = sum(point for point, _ in evidence)
-        if (alone or abs(points) < _DECISIVE) and _DEBRIS < share < 1:
+        if (alone or abs(points) < _DECISIVE) and 0 < share < 1:
             settle(f"{group}, sheets", faces & sheets, True, "open and flat or gently bent, as leaves are")
             settle(f"{group}, solids", faces & ~sheets, False, "tubes or closed bodies, as branches are")
         else:
