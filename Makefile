@@ -44,13 +44,13 @@ config = $(or $(CONFIG),$(wildcard configs/$*.toml))
 .SECONDEXPANSION:
 .SECONDARY:
 
-build/%/clusters.npz: $$(source_$$*) $$(config)
+build/%/stages/source.npz: $$(source_$$*) $$(config)
 	$(TREEBAKE) cluster $< -o build/$* $(addprefix --config ,$(config))
 
-build/%/asset/manifest.json: build/%/clusters.npz $$(config)
+build/%/manifest.json: build/%/stages/source.npz $$(config)
 	$(TREEBAKE) textures build/$* $(addprefix --config ,$(config))
 
-build/%/report/report.json: build/%/asset/manifest.json $$(config)
+build/%/report/report.json: build/%/manifest.json $$(config)
 	$(TREEBAKE) verify build/$* --source $(source_$*) $(addprefix --config ,$(config))
 
 # ---- the virtual environment -------------------------------------------------------------------------------------

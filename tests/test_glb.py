@@ -193,8 +193,8 @@ def test_writing_replaces_whole_or_not_at_all(tmp_path):
         write_glb(path, [("quad", quads(LEAF))], {"not a number": float("nan")})
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["tree.glb"]
-    with pytest.raises(WorkspaceError, match=r"nowhere/tree\.glb cannot be written"):
-        write_glb(tmp_path / "nowhere/tree.glb", [])
+    with pytest.raises(WorkspaceError, match=r"tree\.glb/inside\.glb cannot be written"):
+        write_glb(tmp_path / "tree.glb/inside.glb", [])
 
 
 def test_a_failed_rename_leaves_no_temporary_file(tmp_path):

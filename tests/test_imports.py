@@ -17,7 +17,7 @@ LAYERS = {
     "asset": {"asset"},
     "verify": {"verify"},
     "grow": {"grow"},
-    "top": {"settings", "workspace", "pipeline", "summary", "terminal", "cli"},
+    "top": {"settings", "workspace", "pipeline", "summary", "terminal", "cli", "__main__"},
 }
 MAY_IMPORT = {
     "ground": set(),

@@ -67,11 +67,23 @@ def _configured(command: Command) -> Command:
     """Give a command its Settings: the files of --config, over them --set, over them the command's own flags."""
 
     @wraps(command)
-    def run(terminal: Terminal, config: tuple[Path, ...], assignments: tuple[str, ...], **arguments: Any) -> None:
+    def run(
+        terminal: Terminal,
+        config: tuple[Path, ...],
+        assignments: tuple[str, ...],
+        thresholds: tuple[str, ...] = (),
+        quick: bool = False,
+        **arguments: Any,
+    ) -> None:
         from treebake.settings import load_settings, parse_assignments
 
         flags = {name: value for name, value in arguments.items() if "__" in name}
-        pairs = [*assignments, *(f"{name.replace('__', '.')}={value}" for name, value in flags.items() if value)]
+        pairs = [
+            *assignments,
+            *(f"{name.replace('__', '.')}={value}" for name, value in flags.items() if value is not None),
+            *(f"verify.thresholds.{threshold}" for threshold in thresholds),
+            *(["verify.quick=true"] if quick else []),
+        ]
         settings = load_settings(config, parse_assignments(pairs))
         command(terminal, settings, **{name: value for name, value in arguments.items() if name not in flags})
 
@@ -121,7 +133,7 @@ def grow(terminal: Terminal, species: str, output: Path | None, seed: int, leave
     from treebake.summary import of_mesh
 
     path = output or Path(f"{species}.glb")
-    with terminal.announce("grow", skipped=False):
+    with terminal.announce("grow"):
         mesh = grow_tree(species, seed=seed, leaves=leaves)
         write_glb(path, [(species, mesh)])
     terminal.show({"file": str(path), **of_mesh(mesh)})
@@ -191,24 +203,42 @@ def bake(terminal: Terminal, settings: "Settings", tree: Path, out: Path, force:
 @cli.command(short_help="Render an asset next to its source and score it.")
 @click.argument("asset", type=_FILE, required=False)
 @click.option("--source", required=True, type=_FILE, metavar="TREE", help="The tree that it was baked from.")
-@click.option("--candidate", type=_FILE, metavar="FILE", help="Judge this glTF, GLB or OBJ instead of an asset.")
-@click.option("-o", "out", type=_FILE, metavar="FOLDER", help="Where the report goes.  [default: ASSET/report]")
-@click.option("--quick", is_flag=True, help="Few views and one height, for the edit loop.")
+@click.option("--candidate", type=_FILE, metavar="FILE", help="Judge this GLB, glTF, OBJ or PLY instead of an asset.")
+@click.option("-o", "report", type=_FILE, metavar="FOLDER", help="Where the report goes.  [default: ASSET/report]")
+@click.option(
+    "--threshold",
+    "thresholds",
+    multiple=True,
+    metavar="FIGURE[.HEIGHT]=BOUND",
+    help="Exit 1 where FIGURE (or FIGURE_max) is above BOUND or FIGURE_min below it; e.g. flip_ratio.512=1.2.",
+)
+@click.option("--quick", is_flag=True, help="A third of the views, at 256 pixels only: for the edit loop.")
+@_up
 @_configured
-def verify(terminal: Terminal, settings: "Settings", **arguments: Any) -> None:
+def verify(
+    terminal: Terminal,
+    settings: "Settings",
+    asset: Path | None,
+    source: Path,
+    candidate: Path | None,
+    report: Path | None,
+) -> None:
     """Render ASSET (a published or a work folder) next to its source and score it.
 
-    Reads published files only. Exits with 1, naming the metric, where a threshold of [verify] is missed.
+    Reads published files only. Exits with 1, naming the figure, where a threshold is missed.
     """
     from treebake.pipeline import verify_asset
-    from treebake.summary import of_report
+    from treebake.verify import as_dict, format_table
 
-    with terminal.announce("verify", skipped=False):
-        report, folder = verify_asset(settings=settings, **arguments)
-    terminal.show({"report": str(folder), **of_report(report)})
-    for miss in report.misses:
+    judged = candidate or asset
+    if judged is None:
+        raise click.UsageError("name an ASSET folder, or a file with --candidate")
+    with terminal.announce("verify") as progress:
+        found, folder = verify_asset(judged, source, report, settings, progress)
+    terminal.show({"report": str(folder), **as_dict(found)}, text=f"{format_table(found)}\n\nreport: {folder}")
+    for miss in found.misses:
         say(f"treebake: missed: {miss}")
-    sys.exit(1 if report.misses else 0)
+    sys.exit(1 if found.misses else 0)
 
 
 @cli.command(short_help="Say what is in a tree or an asset.")
@@ -217,9 +247,14 @@ def verify(terminal: Terminal, settings: "Settings", **arguments: Any) -> None:
 @_configured
 def inspect(terminal: Terminal, settings: "Settings", file: Path) -> None:
     """Say what is in FILE: a tree (and how it would be split) or an asset folder."""
-    from treebake.summary import of_file
+    from treebake.pipeline import inspect_tree
+    from treebake.summary import of_asset, of_mesh, of_tree
 
-    terminal.show(of_file(file, settings))
+    if file.is_dir():
+        terminal.show(of_asset(file))
+    else:
+        mesh, tree = inspect_tree(file, settings)
+        terminal.show({**of_mesh(mesh), **of_tree(tree)})
 
 
 def main() -> None:

@@ -6,18 +6,20 @@
 The verifier stands apart: it reads published files only.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from treebake.asset import write_asset
+from treebake.asset import read_asset, write_asset
 from treebake.meshes import read_mesh
-from treebake.model import BakedTree, BillboardCloud, Clusters, Floats, Tree
+from treebake.model import BakedTree, BillboardCloud, Clusters, Floats, Mesh, Tree
 from treebake.settings import Settings
 from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
 from treebake.stages.split import split
+from treebake.verify import Report, verify, write_report
 from treebake.workspace import Result, Workspace
 
 
@@ -44,12 +46,12 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
 
     Raises InputError, SettingsError and WorkspaceError.
     """
-    with work.announce("load", skipped=False):
+    with work.announce("load"):
         mesh = read_mesh(path, settings.load)
-        work.keep("source", Source(path.stem, mesh.triangles, mesh.bounds))
     parts = work.run(split, settings.split, Result.of(mesh))
     tree = parts
     clusters = work.run(cluster, settings.cluster, tree.part("leaves")) if tree.value.leaves.count else None
+    work.keep("source", Source(path.stem, mesh.triangles, mesh.bounds))  # last: make takes its date for the folder's
     return Clustered(parts, tree, clusters)
 
 
@@ -69,6 +71,36 @@ def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Path
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
     stem = tree.value.trunk
     folder = out / source.name if out else work.folder
-    with work.announce("asset", skipped=False):
+    with work.announce("asset"):
         write_asset(BakedTree(source.name, cloud, stem, source.triangles, source.bounds), folder)
     return folder
+
+
+def inspect_tree(path: Path, settings: Settings) -> tuple[Mesh, Tree]:
+    """Read a tree and split it, keeping nothing. Raises InputError and SettingsError."""
+    mesh = read_mesh(path, settings.load)
+    return mesh, split(mesh, settings.split)
+
+
+def verify_asset(
+    candidate: Path, source: Path, report: Path | None, settings: Settings, progress: Callable[[int, int], None]
+) -> tuple[Report, Path]:
+    """Judge a published asset (its folder) or anyone's mesh file against its source, and write the report.
+
+    At each height the level is drawn that the manifest names for it. The report goes into `report`, or else beside
+    what it judges. Returns it with its folder. Raises InputError, AssetError, GraphicsError, SettingsError and
+    WorkspaceError.
+    """
+    mesh, tree = inspect_tree(source, settings)
+    heights = {*settings.verify.heights, 256}  # 256 is what a quick run draws
+    if candidate.is_dir():
+        asset = read_asset(candidate)
+        levels = {path: read_mesh(path) for path in asset.level_paths}
+        meshes = {height: levels[asset.level_for(height)] for height in heights}
+        folder = report or candidate / "report"
+    else:
+        meshes = dict.fromkeys(heights, read_mesh(candidate, settings.load))
+        folder = report or candidate.parent / f"{candidate.stem}_report"
+    found = verify(mesh, meshes, settings.verify, folder / "cache", trunk=tree.trunk, progress=progress)
+    write_report(found, folder)
+    return found, folder

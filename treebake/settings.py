@@ -9,6 +9,7 @@ import inspect
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cache
 from pathlib import Path
@@ -22,6 +23,8 @@ from treebake.stages.billboards import BillboardSettings
 from treebake.stages.cluster import ClusterSettings
 from treebake.stages.split import SplitSettings
 from treebake.verify import VerifySettings
+
+Tables = Mapping[str, Any]  # as TOML nests them: table -> key -> value
 
 
 @dataclass(frozen=True)
@@ -45,40 +48,36 @@ class Key:
     help: str  # meaning, unit and range: the field's comment
 
 
-def load_settings(paths: Sequence[Path] = (), overrides: Mapping[str, Any] | None = None) -> Settings:
-    """Merge TOML files, later ones over earlier ones, and `overrides` ("table.key" -> value) over all of them.
+def load_settings(paths: Sequence[Path] = (), overrides: Tables | None = None) -> Settings:
+    """Merge TOML files, later ones over earlier ones, and `overrides` over all of them; so do the tables in settings.
 
     Raises SettingsError, naming the file and the key, for a file that cannot be read, an unknown key (with the nearest
     known one) and a value of the wrong type.
     """
-    values: dict[str, Any] = {}
-    for path in paths:
-        for name, value in _read(path):
-            values[name] = _convert(name, value, str(path))
-    for name, value in (overrides or {}).items():
-        values[name] = _convert(name, value, "command line")
-    tables = {
-        table: settings(**{name.split(".")[1]: value for name, value in values.items() if name.split(".")[0] == table})
-        for table, settings in _tables().items()
-    }
-    return Settings(**tables)
+    merged: dict[str, Any] = {}
+    for origin, tables in [*((str(path), _read(path)) for path in paths), ("command line", overrides or {})]:
+        _check(origin, tables)
+        merged = _merge(merged, tables)
+    return msgspec.convert(merged, Settings)
 
 
 def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
-    """Turn "table.key=value" texts into overrides; a value is TOML, or else plain text.
+    """Turn "table.key=value" texts into tables; a value is TOML, or else plain text.
 
-    Raises SettingsError for a text without an equals sign.
+    Raises SettingsError for a text that is no assignment.
     """
-    overrides = {}
+    merged: dict[str, Any] = {}
     for assignment in assignments:
         name, equals, text = assignment.partition("=")
+        for value in (text, msgspec.json.encode(text).decode()):
+            with suppress(tomllib.TOMLDecodeError):
+                merged = _merge(merged, tomllib.loads(f"{name} = {value}"))
+                break
+        else:
+            equals = ""
         if not equals:
-            raise SettingsError(f"--set {assignment}: write it as table.key=value, e.g. --set cluster.billboards=100")
-        try:
-            overrides[name.strip()] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
-            overrides[name.strip()] = text
-    return overrides
+            raise SettingsError(f"{assignment} is no setting; write table.key=value, e.g. cluster.billboards=100")
+    return merged
 
 
 @cache
@@ -109,32 +108,37 @@ def _tables() -> dict[str, type[Any]]:
     return get_type_hints(Settings)
 
 
-def _read(path: Path) -> list[tuple[str, Any]]:
+def _read(path: Path) -> dict[str, Any]:
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise SettingsError(f"{path} cannot be read ({error.strerror}); check the path given with --config") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise SettingsError(f"{path} is not valid TOML: {error}") from error
-    entries = []
+
+
+def _check(origin: str, tables: Tables) -> None:
+    known = keys()
     for table, content in tables.items():
         if table not in _tables() or not isinstance(content, dict):
-            raise SettingsError(f"{path}: there is no table [{table}]{_nearest(table, _tables())}")
-        entries += [(f"{table}.{key}", value) for key, value in content.items()]
-    return entries
+            raise SettingsError(f"{origin}: there is no table [{table}]{_nearest(table, _tables())}")
+        for name, value in ((f"{table}.{key}", value) for key, value in content.items()):
+            if name not in known:
+                raise SettingsError(f"{origin}: there is no setting {name}{_nearest(name, known)}")
+            try:
+                msgspec.convert(value, known[name].type)
+            except msgspec.ValidationError as error:
+                reason = str(error).replace("`", "")
+                raise SettingsError(f"{origin}: {name} = {value!r}: {reason}; it means: {known[name].help}") from error
 
 
-def _convert(name: str, value: Any, origin: str) -> Any:
-    known = keys()
-    if name not in known:
-        raise SettingsError(f"{origin}: there is no setting {name}{_nearest(name, known)}")
-    try:
-        return msgspec.convert(value, known[name].type)
-    except msgspec.ValidationError as error:
-        reason = str(error).replace("`", "")
-        raise SettingsError(
-            f"{origin}: {name} = {value!r}: {reason[0].lower()}{reason[1:]}; {known[name].help}"
-        ) from error
+def _merge(under: Tables, over: Tables) -> dict[str, Any]:
+    both = {
+        key: _merge(under[key], over[key])
+        for key in over
+        if isinstance(under.get(key), dict) and isinstance(over[key], dict)
+    }
+    return {**under, **over, **both}
 
 
 def _nearest(name: str, known: Mapping[str, Any]) -> str:

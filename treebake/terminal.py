@@ -32,12 +32,12 @@ class Terminal:
         if not self.quiet:
             say(f"{stage:<10} {'up to date' if skipped else f'{time.perf_counter() - start:.1f} s'}")
 
-    def show(self, facts: dict[str, Any]) -> None:
-        """Print a command's result: numbers, texts, lists and tables by name."""
+    def show(self, facts: dict[str, Any], text: str | None = None) -> None:
+        """Print a command's result: as JSON, as the given text, or else each fact by its name."""
         if self.as_json:
             print(json.dumps(facts, indent=2))
         elif not self.quiet:
-            print("\n".join(_text(facts)))
+            print(text or "\n".join(_text(facts)))
 
     @contextmanager
     def _bar(self, stage: str) -> Iterator[Advance]:

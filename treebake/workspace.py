@@ -33,7 +33,7 @@ _DAMAGED = (OSError, KeyError, ValueError, TypeError, AttributeError, zipfile.Ba
 class Announce(Protocol):
     """Called around each stage, so that a command can show what is running."""
 
-    def __call__(self, stage: str, *, skipped: bool) -> AbstractContextManager[object]:
+    def __call__(self, stage: str, *, skipped: bool = False) -> AbstractContextManager[object]:
         """Enter when the stage starts, exit when its result is on the disk."""
 
 
@@ -65,7 +65,7 @@ class Workspace:
 
     folder: Path
     force: bool = False  # run every stage, whatever its stamp
-    announce: Announce = field(default=lambda _stage, *, skipped: nullcontext(skipped))
+    announce: Announce = field(default=lambda _stage, *, skipped=False: nullcontext(skipped))
 
     def run(self, stage: Callable[..., T], settings: Any, *inputs: Result[Any]) -> Result[T]:
         """Return stage(*inputs, settings), from the work folder where it is up to date, else run and kept.
@@ -81,7 +81,7 @@ class Workspace:
                 with self.announce(name, skipped=True), suppress(OSError):
                     os.utime(path)  # tells make that it is up to date
                 return Result(header["digest"], lambda: _read_value(path))
-        with self.announce(name, skipped=False):
+        with self.announce(name):
             return self.keep(name, stage(*(result.value for result in inputs), settings), stamp, made_of)
 
     def keep(self, name: str, value: T, stamp: str = "", made_of: Sequence[str] = ()) -> Result[T]:

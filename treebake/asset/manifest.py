@@ -61,3 +61,12 @@ class Asset:
     def level_paths(self) -> tuple[Path, ...]:
         """The GLB of every level, from near to far."""
         return tuple(self.folder / level.file for level in self.manifest.levels)
+
+    def level_for(self, height: int) -> Path:
+        """The GLB of the nearest level that reaches down to a tree `height` pixels high."""
+        reaching = [
+            path
+            for level, path in zip(self.manifest.levels, self.level_paths, strict=True)
+            if level.min_height <= height
+        ]
+        return (reaching or [self.level_paths[-1]])[0]
