@@ -102,6 +102,7 @@ _force = click.option("--force", is_flag=True, help="Run every stage again, even
 _up = _setting("--up", "load.up")
 _billboards = _setting("--billboards", "cluster.billboards")
 _atlas = _setting("--atlas", "textures.atlas")
+_trunk = _setting("--trunk-triangles", "trunk.triangles")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -163,6 +164,7 @@ def cluster(terminal: Terminal, settings: "Settings", tree: Path, work: Path, fo
 @click.argument("work", type=_FILE)
 @click.option("-o", "out", type=_FILE, metavar="OUT", help="Publish into OUT/NAME/.  [default: WORK itself]")
 @_atlas
+@_trunk
 @_force
 @_configured
 def textures(terminal: Terminal, settings: "Settings", work: Path, out: Path | None, force: bool) -> None:
@@ -182,6 +184,7 @@ def textures(terminal: Terminal, settings: "Settings", work: Path, out: Path | N
 )
 @_billboards
 @_atlas
+@_trunk
 @_up
 @_force
 @_configured

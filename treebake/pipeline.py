@@ -19,6 +19,8 @@ from treebake.settings import Settings
 from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
 from treebake.stages.split import split
+from treebake.stages.trunk import trunk
+from treebake.stages.twigs import twigs
 from treebake.verify import Report, verify, write_report
 from treebake.workspace import Result, Workspace
 
@@ -49,7 +51,7 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
     with work.announce("load"):
         mesh = read_mesh(path, settings.load)
     parts = work.run(split, settings.split, Result.of(mesh))
-    tree = parts
+    tree = work.run(twigs, settings.twigs, parts)
     clusters = work.run(cluster, settings.cluster, tree.part("leaves")) if tree.value.leaves.count else None
     work.keep("source", Source(path.stem, mesh.triangles, mesh.bounds))  # last: make takes its date for the folder's
     return Clustered(parts, tree, clusters)
@@ -63,13 +65,13 @@ def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Path
     """
     command = f"treebake cluster TREE -o {work.folder}"
     source: Source = work.read("source", command).value
-    tree = work.read("split", command)
+    tree = work.read("twigs", command)
     if tree.value.leaves.count:
         clusters = work.read("cluster", command, tree.part("leaves"))
         cloud = work.run(billboards, settings.textures, tree, clusters).value
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
-    stem = tree.value.trunk
+    stem = work.run(trunk, settings.trunk, tree.part("trunk")).value
     folder = out / source.name if out else work.folder
     with work.announce("asset"):
         write_asset(BakedTree(source.name, cloud, stem, source.triangles, source.bounds), folder)

@@ -22,6 +22,8 @@ from treebake.meshes import LoadSettings
 from treebake.stages.billboards import BillboardSettings
 from treebake.stages.cluster import ClusterSettings
 from treebake.stages.split import SplitSettings
+from treebake.stages.trunk import TrunkSettings
+from treebake.stages.twigs import TwigSettings
 from treebake.verify import VerifySettings
 
 Tables = Mapping[str, Any]  # as TOML nests them: table -> key -> value
@@ -33,8 +35,10 @@ class Settings:
 
     load: LoadSettings = field(default_factory=LoadSettings)
     split: SplitSettings = field(default_factory=SplitSettings)
+    twigs: TwigSettings = field(default_factory=TwigSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
     textures: BillboardSettings = field(default_factory=BillboardSettings)
+    trunk: TrunkSettings = field(default_factory=TrunkSettings)
     verify: VerifySettings = field(default_factory=VerifySettings)
 
 
