@@ -90,10 +90,10 @@ def test_coverage_is_the_candidates_area_over_the_sources() -> None:
 def test_foliage_coverage_leaves_the_trunk_out() -> None:
     trunk = TREE.select(TREE.face_material == 0)
     (level, *_) = verify(TREE, TREE.select(TREE.face_material != 0), FEW, trunk=trunk).levels
-    assert level.candidate.foliage_coverage == pytest.approx(1, abs=0.03)  # the trunk was behind some edges
+    assert level.candidate.foliage_coverage == pytest.approx(1, abs=0.03)  # edges apart
     assert level.candidate.coverage < 0.95
     (level, *_) = verify(TREE, trunk, FEW, trunk=trunk).levels
-    assert level.candidate.foliage_coverage == pytest.approx(0, abs=0.01)
+    assert level.candidate.foliage_coverage == pytest.approx(0, abs=0.03)
 
 
 def test_the_source_is_drawn_as_it_is_and_the_candidate_as_a_client_does() -> None:
