@@ -280,6 +280,14 @@ def test_a_missing_or_damaged_texture_is_one_warning(tmp_path, caplog, image):
     assert caplog.records[0].levelno == logging.WARNING
 
 
+@pytest.mark.parametrize(("value", "warned"), [(255, False), (128, True)])
+def test_vertex_colours_are_left_out_with_a_warning(tmp_path, caplog, value, warned):
+    gltf = Gltf()
+    colors = gltf.accessor(np.full((3, 4), value, np.uint8), normalized=True)
+    gltf.mesh(COLOR_0=colors).read(tmp_path)
+    assert ("vertex colours are not read" in caplog.text) == warned
+
+
 # glTF: files beside it
 
 

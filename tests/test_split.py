@@ -309,6 +309,32 @@ def test_an_empty_mesh_is_an_empty_tree():
     assert (result.trunk.triangles, result.foliage.triangles, result.leaves.count) == (0, 0, 0)
 
 
+@pytest.mark.parametrize(
+    ("name", "role"),
+    [
+        ("Tree_Leaves", "foliage"),
+        ("FernFrond", "foliage"),
+        ("TreeCrown", "foliage"),
+        ("old-stem", "trunk"),
+        ("TreeRoot", "trunk"),
+        ("ParticleSystem", None),
+        ("catalogue", None),
+        ("leaves on bark", None),
+    ],
+)
+def test_names_that_speak_and_names_that_do_not(name, role):
+    trunk_or_leaf = TRUNK if role == "foliage" else QUAD.at(0, 5)  # what the geometry alone would say is the opposite
+    result = split(build(trunk_or_leaf, QUAD.at(9, material=1), materials=(name, "leaf")))
+    expected = role or "foliage"
+    assert decisions(result)[f"material {name}"] == expected
+
+
+def test_zero_area_faces_do_no_harm():
+    flat = Piece(np.zeros((3, 3)), np.array([[0, 1, 2]]))
+    result = split(build(TRUNK, QUAD.at(5, 15, material=1), flat.at(5, 15, material=1), materials=("bark", "leaf")))
+    assert np.isfinite(result.leaves.centers).all()
+
+
 def test_split_leaves_its_input_alone_and_repeats():
     mesh = build(TRUNK, *(QUAD.at(1.5 * i, 15) for i in range(5)))
     before = [getattr(mesh, name).copy() for name in ("positions", "faces", "face_material")]

@@ -44,6 +44,7 @@ def read_gltf(path: Path) -> list[Part]:
     try:
         file = GltfFile(path)
         _check_extensions(file)
+        _check_colors(file)
         material = cache(lambda index: _material(file, index))
         return [
             part
@@ -69,6 +70,18 @@ def _check_extensions(file: GltfFile) -> None:
             continue
         remedy = _REMEDIES.get(name, "export it without").format(name=file.path.name)
         raise UnsupportedError(f"{file.path} requires the extension {name}, which treebake does not read; {remedy}")
+
+
+def _check_colors(file: GltfFile) -> None:
+    """Warn of vertex colours that are not plain white; once, they are not read."""
+    for mesh in file.json.get("meshes", []):
+        for primitive in mesh["primitives"]:
+            index = primitive["attributes"].get("COLOR_0")
+            if index is None or "bufferView" not in file.json["accessors"][index]:
+                continue
+            if not (unit_range(file.accessor(index)) == 1).all():
+                LOG.warning("%s: vertex colours are not read; bake them into a texture to keep them", file.path)
+                return
 
 
 def _nodes(file: GltfFile) -> Iterator[tuple[Json, Doubles]]:
@@ -198,6 +211,8 @@ def _place(positions: Array, normals: Array | None, faces: Ints, worlds: Doubles
 
 
 def _map_uvs(uvs: Array, uv_map: _UvMap) -> Floats:
+    if uv_map.rows == _UvMap.rows:
+        return np.asarray(uvs, np.float32)
     rows = np.array(uv_map.rows)
     return np.asarray(uvs @ rows[:, :2].T + rows[:, 2], np.float32)
 

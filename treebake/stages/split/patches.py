@@ -9,7 +9,8 @@ from treebake.model import Doubles, Floats, Ints, Mesh
 
 _COPLANAR = np.cos(np.radians(2.0))  # faces that bend less along their common edge lie in one facet
 _CREASED = np.cos(np.radians(10.0))  # faces that bend more have a crease between them, not a smooth curve
-_ROUNDS = 16  # of bisection; every round at least halves what bends
+_ROUNDS = 16  # of bisection at most; a sphere takes four
+_TINY = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,49 +34,48 @@ class Patches:
 def measure(positions: Floats, faces: Ints, labels: Ints) -> Patches:
     """Measure patches; positions: (V, 3), faces: (F, 3), labels: (F,) int32 in 0..N-1, each used. O(F)."""
     count = int(labels.max(initial=-1)) + 1
+    units, face_areas = _face_normals(positions, faces)
+    areas = np.maximum(_total(labels, face_areas, count), _TINY)
     corners = [positions[faces[:, i]] for i in range(3)]
-    crosses = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    doubled = np.linalg.norm(crosses, axis=1)
-    areas = _total(labels, doubled, count) / 2
-    centroids = (corners[0] + corners[1] + corners[2]) / 3
-    centers = _sums(labels, centroids, count, doubled) / (2 * areas[:, None])
-    distances = np.max([np.linalg.norm(corner - centers[labels], axis=1) for corner in corners], axis=0, initial=0)
+    centers = _sums(labels, (corners[0] + corners[1] + corners[2]) / 3, count, face_areas) / areas[:, None]
     radii = np.zeros(count)
-    np.maximum.at(radii, labels, distances)
-    means = _sums(labels, crosses, count) / (2 * areas[:, None])
+    for corner in corners:
+        np.maximum.at(radii, labels, np.linalg.norm(corner - centers[labels], axis=1))
+    means = _sums(labels, units, count, face_areas) / areas[:, None]
     resultants = np.linalg.norm(means, axis=1)
-    normals, bends = _spread(_units(positions, faces), doubled, labels, means, resultants)
+    normals, bends = _spread(units, face_areas, labels, means, resultants)
     return Patches(centers, normals, areas, radii, resultants, bends)
 
 
-def _units(positions: Floats, faces: Ints) -> Floats:
-    a, b, c = (positions[faces[:, i]] for i in range(3))
+def _face_normals(positions: Floats, faces: Ints) -> tuple[Doubles, Doubles]:
+    """Unit normals (F, 3), zero for a face without area, and areas (F,)."""
+    a, b, c = (positions[faces[:, i]].astype(np.float64) for i in range(3))
     crosses = np.cross(b - a, c - a)
-    units: Floats = crosses / np.linalg.norm(crosses, axis=1, keepdims=True)
-    return units
+    lengths = np.linalg.norm(crosses, axis=1)
+    return crosses / np.maximum(lengths, _TINY)[:, None], lengths / 2
 
 
 def _total(labels: Ints, values: Floats | Doubles, count: int) -> Doubles:
     return np.bincount(labels, values, count).astype(np.float64)  # bincount of nothing is int
 
 
-def _sums(labels: Ints, vectors: Floats | Doubles, count: int, weights: Floats | float = 1.0) -> Doubles:
+def _sums(labels: Ints, vectors: Floats | Doubles, count: int, weights: Doubles | float = 1.0) -> Doubles:
     return np.stack([_total(labels, vectors[:, i] * weights, count) for i in range(vectors.shape[1])], axis=1)
 
 
 def _spread(
-    units: Floats, weights: Floats, labels: Ints, means: Doubles, resultants: Doubles
+    units: Doubles, areas: Doubles, labels: Ints, means: Doubles, resultants: Doubles
 ) -> tuple[Doubles, Doubles]:
     """The normals and bends of patches; the mean normal stands where it is already close to the best direction.
 
     Mean (n.m)^2 >= (mean n.m)^2, so only patches with a small mean normal need eigenvectors.
     """
     bends = 1 - resultants**2
-    normals = means / np.maximum(resultants, 1e-300)[:, None]
+    normals = means / np.maximum(resultants, _TINY)[:, None]
     open_patch = bends > 0.02
     rank = np.cumsum(open_patch) - 1
     chosen = open_patch[labels]
-    row, n, w, count = rank[labels[chosen]], units[chosen], weights[chosen], int(open_patch.sum())
+    row, n, w, count = rank[labels[chosen]], units[chosen], areas[chosen], int(open_patch.sum())
     moments = np.stack([_sums(row, n * n[:, i, None], count, w) for i in range(3)], axis=1)
     moments /= _total(row, w, count)[:, None, None]
     values, vectors = np.linalg.eigh(moments)
@@ -95,18 +95,15 @@ def cut_into_leaves(mesh: Mesh, bend: float, large: float) -> Ints:
     """
     welded = weld(mesh.positions)[mesh.faces]
     labels = np.empty(mesh.triangles, np.int32)
-    pending, patch, done = (
-        np.arange(mesh.triangles),
-        components(welded, int(welded.max(initial=-1)) + 1)[welded[:, 0]],
-        0,
-    )
+    pending, done = np.arange(mesh.triangles), 0
+    patch = components(welded, int(welded.max(initial=-1)) + 1)[welded[:, 0]]
     for cut in (_whole, _into_pieces, _into_cards, *[_in_halves] * _ROUNDS):
         faces = mesh.faces[pending]
-        patch = by_first(cut(welded[pending], _units(mesh.positions, faces), patch))
+        patch = by_first(cut(welded[pending], _face_normals(mesh.positions, faces)[0], patch))
         labels[pending] = patch + done
         done += int(patch.max(initial=-1)) + 1
         found = measure(mesh.positions, faces, patch)
-        bent = (found.bends > bend * np.minimum(1, large / found.radii))[patch]
+        bent = (found.bends > bend * np.minimum(1, large / np.maximum(found.radii, _TINY)))[patch]
         pending, patch = pending[bent], by_first(patch[bent])
         if not len(pending):
             break
@@ -124,16 +121,16 @@ def by_first(labels: Ints) -> Ints:
 # Each cut takes welded corners (F, 3), unit normals (F, 3) and the patch (F,) of its faces; it gives a finer patch.
 
 
-def _whole(_welded: Ints, _units: Floats, patch: Ints) -> Ints:
+def _whole(_welded: Ints, _units: Doubles, patch: Ints) -> Ints:
     return patch
 
 
-def _into_pieces(welded: Ints, _units: Floats, patch: Ints) -> Ints:
+def _into_pieces(welded: Ints, _units: Doubles, patch: Ints) -> Ints:
     pairs = shared_edges(welded) // 3
     return components(pairs[patch[pairs[:, 0]] == patch[pairs[:, 1]]], len(patch))
 
 
-def _into_cards(welded: Ints, units: Floats, patch: Ints) -> Ints:
+def _into_cards(welded: Ints, units: Doubles, patch: Ints) -> Ints:
     """The facets of creased patches, which clumps of cards are; a smoothly curved patch stays whole.
 
     A facet is what is coplanar, and else a quad that is not: two triangles in a row that share an edge.
@@ -162,7 +159,7 @@ def _place_in_patch(patch: Ints) -> Ints:
     return places
 
 
-def _in_halves(welded: Ints, units: Floats, patch: Ints) -> Ints:
+def _in_halves(welded: Ints, units: Doubles, patch: Ints) -> Ints:
     """Halve each patch where its normals spread most, and keep apart what the halving tears."""
     count = int(patch.max()) + 1
     sizes = np.bincount(patch, minlength=count)[:, None]

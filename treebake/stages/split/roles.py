@@ -16,8 +16,11 @@ from treebake.stages.split.patches import by_first, measure
 
 Mask = NDArray[np.bool_]
 
-_FOLIAGE_WORDS = re.compile(r"lea[fv]|foliage|frond|needle|flower|blossom|petal|grass|fern|canopy|crown", re.IGNORECASE)
-_TRUNK_WORDS = re.compile(r"bark|trunk|branch|wood|stem|root|twig|\blog\b", re.IGNORECASE)
+# Short words count at the start of a word only: a particle system has no stem, a catalogue is no log.
+_FOLIAGE_WORDS = re.compile(
+    r"(?i:lea[fv]|foliage|frond|needle|flower|blossom|petal|canopy)|(?i:(?<![a-z])(grass|fern|crown))|Grass|Fern|Crown"
+)
+_TRUNK_WORDS = re.compile(r"(?i:bark|trunk|branch|twig)|(?i:(?<![a-z])(wood|stem|root|log(?![a-z])))|Wood|Stem|Root")
 _DECISIVE = 3.0  # points at which a material goes one way whatever its geometry says
 _CUT_AWAY = 0.05  # share of transparent texels from which a texture counts as cut out
 _HOLLOW, _ROUND = 0.25, 0.35  # resultant below which, and bend above which, a piece is a tube or body; see Patches
@@ -68,7 +71,10 @@ def decide(mesh: Mesh, names: Names) -> tuple[Mask, tuple[Decision, ...]]:
             settle(group, faces, points > 0, _words(evidence, points))
             continue
         sheets, share = _sheets(mesh, faces)
-        evidence.append((2.0 if share > 0.5 else -2.0, f"{share:.0%} of its area lies in open sheets"))
+        if share > 0.5:
+            evidence.append((2.0, f"{share:.0%} of its area is open sheets, as leaves are"))
+        else:
+            evidence.append((-2.0, f"{1 - share:.0%} of its area is tubes or closed bodies, as branches are"))
         points = sum(point for point, _ in evidence)
         if (alone or abs(points) < _DECISIVE) and 0 < share < 1:
             settle(f"{group}, sheets", faces & sheets, True, "open and flat or gently bent, as leaves are")
@@ -98,9 +104,9 @@ def _evidence(mesh: Mesh, row: int) -> list[Evidence]:
     evidence = []
     for text, what, weight in ((material.name, "its name", 3.0), (image, "its texture", 2.0), (nodes, "its node", 2.0)):
         leafy, woody = _FOLIAGE_WORDS.search(text), _TRUNK_WORDS.search(text)
-        word = leafy or woody
-        if word and not (leafy and woody):
-            evidence.append((weight if leafy else -weight, f'{what} has "{word.group().lower()}" in it'))
+        if bool(leafy) != bool(woody):
+            subject = "leaves" if leafy else "wood"
+            evidence.append((weight if leafy else -weight, f"{what} {text} speaks of {subject}"))
             break
     cut_away = _cut_away(material)
     if cut_away > _CUT_AWAY:
@@ -117,11 +123,9 @@ def _evidence(mesh: Mesh, row: int) -> list[Evidence]:
 
 def _words(evidence: list[Evidence], points: float) -> str:
     """The reasons for a decision, and those against it."""
-    agreeing = [reason for point, reason in evidence if point * points > 0]
+    agreeing = [reason for point, reason in evidence if point * points > 0] or ["nothing speaks for foliage"]
     opposing = [reason for point, reason in evidence if point * points < 0]
-    return ", ".join(agreeing or ["nothing speaks for foliage"]) + (
-        f"; though {', '.join(opposing)}" if opposing else ""
-    )
+    return "; though ".join(", ".join(reasons) for reasons in (agreeing, opposing) if reasons)
 
 
 def _cut_away(material: Material) -> float:
