@@ -39,7 +39,7 @@ def test_a_source_against_itself() -> None:
         assert (ours.flip, ours.flip_worst, ours.flip_ratio, ours.iou, ours.coverage) == (0, 0, 0, 1, 1)
         assert ours.ssim == pytest.approx(1)
         assert ours.depth_cm == 0
-        assert ours.foliage_coverage is None
+        assert ours.foliage_coverage == 1
         assert (ours.triangles, ours.draw_calls) == (8, 4)
         assert level.invisible
 

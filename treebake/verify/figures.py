@@ -14,9 +14,9 @@ class Figures:
     """One line of the report: means over the views; None where there is nothing to measure.
 
     flip and ssim are means over the window and both backgrounds. flip_ratio is mean FLIP over the mean FLIP of
-    floor(1 px); flip_worst and flip_ratio_worst are the worst view's. coverage is the covered area over the source's,
-    foliage_coverage the same outside the source's trunk. depth_cm reads the mesh's unit as a metre. overdraw is
-    fragments asked for per covered pixel. iou is of the silhouettes, by covered area.
+    floor(1 px); flip_worst and flip_ratio_worst are the worst view's. iou is of the silhouettes, by covered area.
+    coverage is the covered area over the source's, foliage_coverage the same outside the source's trunk where that is
+    known. depth_cm reads the mesh's unit as a metre. overdraw is fragments asked for per covered pixel.
     """
 
     flip: float
@@ -49,9 +49,7 @@ def summed_up(scores: Scores, known: Reference, views: slice, mesh: Mesh | None,
         ssim=float(scores.ssim.mean()),
         iou=float(scores.iou.mean()),
         coverage=_ratio(scores.area.sum(), known.area[views].sum()),
-        foliage_coverage=_ratio(scores.foliage_area.sum(), known.foliage_area[views].sum())
-        if known.trunks.any()
-        else None,
+        foliage_coverage=_ratio(scores.foliage_area.sum(), known.foliage_area[views].sum()),
         depth_cm=float(scores.depth[seen].mean() * 100) if seen.any() else None,
         overdraw=_ratio(fragments.sum(), scores.area.sum()),
         triangles=mesh.triangles if mesh else 0,

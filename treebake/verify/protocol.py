@@ -88,9 +88,9 @@ def verify(
     """Measure how a candidate differs from its source, both drawn as a stock glTF client draws them.
 
     candidate: one mesh, or one for each height. cache: a folder where the source's pictures and floors are kept, so
-    that only the candidate is drawn the next time. trunk: the part of the source that is not foliage; without it there
-    is no foliage_coverage. progress: called with the views done and to do, from any thread, one call at a time.
-    O(heights x views x (faces + pixels)).
+    that only the candidate is drawn the next time. trunk: the part of the source that is not foliage; without it,
+    foliage_coverage is of the whole tree. progress: called with the views done and to do, from any thread, one call at
+    a time. O(heights x views x (faces + pixels)).
 
     Raises MeshError for an empty source, SettingsError, GraphicsError, and WorkspaceError where the cache cannot be
     written.
