@@ -25,8 +25,6 @@ from treebake.stages.billboards.coverage import preserve_coverage
 from treebake.stages.billboards.flatten import FlatLeaves, flatten, plane_frames
 from treebake.stages.billboards.packing import pack, texel_sizes
 
-_MIP_LEVELS = 5  # whose coverage is kept; one texel of the last is 32 x 32 of the atlas, about a whole card
-
 
 @dataclass(frozen=True)
 class BillboardSettings:
@@ -111,7 +109,7 @@ def _color_texels(color: Floats, cutoff: float) -> Bytes:
     """sRGB and alpha, with colour bled under the transparent texels so that no mip mixes in black."""
     texels = np.empty(color.shape, np.uint8)
     texels[..., :3] = to_srgb(bleed(color))
-    alpha = preserve_coverage(color[..., 3], cutoff, _MIP_LEVELS)
+    alpha = preserve_coverage(color[..., 3], cutoff)
     texels[..., 3] = np.rint(alpha * 255)
     return texels
 

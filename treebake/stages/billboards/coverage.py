@@ -1,73 +1,126 @@
-"""Shape an atlas's alpha so that its box-filtered mips keep the coverage of level 0.
+"""Shape an atlas's alpha so that the mips a viewer makes of it keep the coverage of level 0.
 
 A PNG carries no mips: the viewer makes them, by averaging 2x2 texels, and tests each against one cutoff. A crown of
 thin leaves averages below the cutoff and disappears with distance. Only the base level can be shaped, which is enough:
-what the test sees of a texel is the *side* of the cutoff, so how far it lies on its side is free. A mip texel is to
-pass the test or not as its share of the coverage asks; the averages are then pushed to the right side from the top of
-the mip chain down, each texel taking its part of the push within the side where it must stay itself.
+the test sees the *side* of the cutoff on which a texel lies, so how far it lies on its side is free.
+
+Every level is told which of its texels are to pass: in each block those that the leaves cover most, as many as the
+block's coverage asks for. Values are then pushed to the right sides from the top of the mip chain down, each texel
+taking its part of the push within the side where it must stay itself. Viewers interpolate between texels, which grows
+or shrinks what passes; so the area is measured as a viewer would see it, and the quotas are corrected by what it lacks.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
-from numpy.typing import NDArray
 
-from treebake.model import Floats
+from treebake.model import Doubles, Floats
 
-_BLOCK = 4  # texels each way within which coverage is kept exactly (a remainder is dithered)
+_BLOCK = 4  # texels each way within which coverage is kept (remainders are dithered)
+_STEP = 0.08  # mean distance from the cutoff that a block's texels aim for; more leaves less room for other levels
 _MARGIN = 6 / 255  # distance from the cutoff that survives rounding to 8 bits, with room for a sampler's own rounding
+_ROUNDS = 4  # corrections of the quotas; the area is then right within a few per cent at every level
+_LAST_SIDE = 32  # texels on the shorter side of the last level that is shaped
 
 # Bayer's 4x4 ordered dither, thresholds in 0..1: spreads the rounding of blocks evenly over the atlas.
 _BAYER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) / 16
 
 
-def preserve_coverage(coverage: Floats, cutoff: float, levels: int) -> Floats:
-    """Alpha whose mips 0..levels, averaged 2x2, pass `cutoff` over the area that `coverage` says.
+def preserve_coverage(coverage: Floats, cutoff: float) -> Floats:
+    """Alpha that passes `cutoff` over the same area at every mip, averaged 2x2 and interpolated linearly.
 
-    coverage: (h, w) float32 in 0..1, sides divisible by 2**levels. cutoff: between 0 and 1.
-    Returns (h, w) float32 in 0..1. O(h w).
+    coverage: (h, w) float32 in 0..1, sides powers of two. cutoff: between 0 and 1. Returns (h, w) float32 in 0..1.
+    O(h w).
     """
-    shares = [coverage]
-    for _ in range(levels):
-        shares.append(_halve(shares[-1]))
-    passes = [_passing(share) for share in shares]
-    # Bottom up: what each texel would like, and how far it may go without any texel below changing its side.
-    wish: Floats = np.interp(coverage, [0, 0.5, 1], [0, cutoff, 1]).astype(np.float32)
+    total = float(coverage.mean())
+    if not total:
+        return coverage
+    levels = [_Level.of(coverage)]
+    while min(levels[-1].share.shape) > _LAST_SIDE:
+        levels.append(_Level.of(_halve(levels[-1].share)))
+    quotas = np.ones(len(levels))
+    for _ in range(_ROUNDS):
+        measured = _areas(_shape(levels, quotas, cutoff), cutoff, len(levels))
+        quotas *= np.clip(total / np.maximum(measured, 1e-9), 0.5, 2)
+    return _shape(levels, quotas, cutoff)
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """One mip level of the coverage. share: (h, w). ranked: (blocks down, blocks across, 16), greatest share first."""
+
+    share: Floats
+    ranked: Floats
+
+    @classmethod
+    def of(cls, share: Floats) -> "_Level":
+        rows, columns = share.shape
+        padded = np.pad(share, ((0, -rows % _BLOCK), (0, -columns % _BLOCK)))
+        down, across = padded.shape[0] // _BLOCK, padded.shape[1] // _BLOCK
+        blocks = padded.reshape(down, _BLOCK, across, _BLOCK).transpose(0, 2, 1, 3).reshape(down, across, -1)
+        return cls(share, -np.sort(-blocks, axis=2))
+
+    def wish(self, quota: float, cutoff: float) -> Floats:
+        """What each texel would like to be: as far above or below the cutoff as its share is off its block's limit.
+
+        The limit lies between the share of the last texel that fits the block's quota and that of the next.
+        """
+        down, across, size = self.ranked.shape
+        dither = np.tile(_BAYER, (-(-down // 4), -(-across // 4)))[:down, :across]
+        count = np.clip(np.floor(self.ranked.sum(axis=2) * quota + dither), 0, size).astype(np.int64)
+        fence = np.concatenate([self.ranked[..., :1] + 0.02, self.ranked, self.ranked[..., -1:] - 0.02], axis=2)
+        limit = np.take_along_axis(fence, count[..., None], axis=2) + np.take_along_axis(fence, count[..., None] + 1, 2)
+        limit /= 2
+        spread = np.abs(self.ranked - limit).mean(axis=2, keepdims=True)
+        gain = _STEP / np.maximum(spread, 1e-4)
+        gain[self.ranked[..., :1] == 0] = 0
+        limit[self.ranked[..., :1] == 0] = 0
+        rows, columns = self.share.shape
+        limit, gain = (x[..., 0].repeat(_BLOCK, axis=0).repeat(_BLOCK, axis=1)[:rows, :columns] for x in (limit, gain))
+        wish = cutoff + np.clip((self.share - limit) * gain, -cutoff, 1 - cutoff)
+        return np.where(gain > 0, wish, 0).astype(np.float32)
+
+
+def _shape(levels: list[_Level], quotas: Doubles, cutoff: float) -> Floats:
+    """The base alpha whose mips lie on the sides that the levels wish."""
     above, below = np.float32(cutoff + _MARGIN), np.float32(cutoff - _MARGIN)
-    least = np.where(passes[0], above, 0).astype(np.float32)
-    most = np.where(passes[0], 1, below).astype(np.float32)
-    chain = [(np.clip(wish, least, most), least, most)]
-    for passing in passes[1:]:
-        wish, least, most = (_halve(image) for image in chain[-1])
+    # Bottom up: what each texel would like, and how far it may go without any texel below changing its side.
+    passing = levels[0].wish(quotas[0], cutoff) >= cutoff
+    least = np.where(passing, above, 0).astype(np.float32)
+    most = np.where(passing, 1, below).astype(np.float32)
+    edge = np.interp(levels[0].share, [0, 0.5, 1], [0, cutoff, 1]).astype(np.float32)
+    chain = [(np.clip(edge, least, most), least, most)]
+    for level, quota in zip(levels[1:], quotas[1:], strict=True):
+        wish = level.wish(quota, cutoff)
+        least, most = _halve(least), _halve(most)
         # A side that the texels below cannot reach (all opaque, all empty) is given up.
-        least = np.where(passing & (most > above), np.maximum(least, above), least)
-        most = np.where(~passing & (least < below), np.minimum(most, below), most)
+        least = np.where((wish >= cutoff) & (most > above), np.maximum(least, above), least)
+        most = np.where((wish < cutoff) & (least < below), np.minimum(most, below), most)
         chain.append((np.clip(wish, least, most), least, most))
     # Top down: hand each texel's value to its four, each by the room it has.
     value = chain[-1][0]
     for wish, least, most in chain[-2::-1]:
         push = _double(value - _halve(wish))
         room = np.where(push > 0, most - wish, wish - least)
-        value = wish + push * room / np.maximum(_double(_halve(room)), 1e-12)
-        value = np.clip(value, least, most)
+        value = np.clip(wish + push * room / np.maximum(_double(_halve(room)), 1e-12), least, most)
     return np.asarray(value, np.float32)
 
 
-def _passing(share: Floats) -> NDArray[np.bool_]:
-    """Which texels pass, so that every block of them passes by as much area as it covers: those that cover most."""
-    rows, columns = share.shape
-    padded = np.pad(share, ((0, -rows % _BLOCK), (0, -columns % _BLOCK)))
-    down, across = padded.shape[0] // _BLOCK, padded.shape[1] // _BLOCK
-    blocks = padded.reshape(down, _BLOCK, across, _BLOCK).transpose(0, 2, 1, 3).reshape(down, across, -1)
-    dither = np.tile(_BAYER, (-(-down // 4), -(-across // 4)))[:down, :across]
-    quota = np.floor(blocks.sum(axis=2) + dither)
-    rank = np.argsort(np.argsort(-blocks, axis=2, kind="stable"), axis=2, kind="stable")
-    passing = (rank < quota[..., None]) & (blocks > 0)
-    passing = passing.reshape(down, across, _BLOCK, _BLOCK).transpose(0, 2, 1, 3).reshape(padded.shape)
-    return np.asarray(passing[:rows, :columns])
+def _areas(alpha: Floats, cutoff: float, levels: int) -> Doubles:
+    """The share of each mip level's area that passes, sampled at four points a texel with linear interpolation."""
+    areas = []
+    for _ in range(levels):
+        rows = [0.75 * alpha + 0.25 * np.roll(alpha, step, axis=0) for step in (-1, 1)]
+        points = [0.75 * row + 0.25 * np.roll(row, step, axis=1) for row in rows for step in (-1, 1)]
+        areas.append(np.mean([(point >= cutoff).mean() for point in points]))
+        alpha = _halve(alpha)
+    return np.array(areas)
 
 
 def _halve(image: Floats) -> Floats:
     rows, columns = image.shape
-    return np.asarray(image.reshape(rows // 2, 2, columns // 2, 2).mean(axis=(1, 3)), np.float32)
+    quarters = image.reshape(rows // 2, 2, columns // 2, 2)
+    return (quarters[:, 0, :, 0] + quarters[:, 1, :, 0] + quarters[:, 0, :, 1] + quarters[:, 1, :, 1]) / np.float32(4)
 
 
 def _double(image: Floats) -> Floats:
