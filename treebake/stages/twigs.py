@@ -10,7 +10,7 @@ import numpy as np
 
 from treebake.model import Doubles, Leaves, Mesh, Tree
 from treebake.tubes.find import Tubes, find_tubes
-from treebake.tubes.loft import loft
+from treebake.tubes.loft import join, loft
 from treebake.tubes.plan import Plan, cost, plan, ring_errors, solid_share
 from treebake.tubes.surface import Longs
 
@@ -57,7 +57,7 @@ def twigs(tree: Tree, settings: TwigSettings) -> Tree:
     ring = np.maximum(tubes.face_ring, 0)
     cut_here, last = cut[tubes.tube[ring]], tubes.first[1:][tubes.tube[ring]] - 1
     stays = (tubes.face_ring < 0) | (ring < cut_here) | (cut_here == last)
-    foliage = _join(tree.foliage, pieces)
+    foliage = join(tree.foliage, pieces)
     return replace(tree, trunk=mesh.select(stays), foliage=foliage, leaves=_append(tree.leaves, leaves))
 
 
@@ -144,24 +144,6 @@ def _locate(tubes: Tubes, tube: Longs, at: Doubles) -> tuple[Longs, Doubles]:
     blend = np.where(step > 0, (at - tubes.along[ring]) / np.where(step > 0, step, 1), 0)
     near_end = blend > 1 - 1e-6
     return ring + near_end, np.where(near_end, 0, np.maximum(blend, 0))
-
-
-def _join(first: Mesh, second: Mesh) -> Mesh:
-    """Both meshes in one; materials and nodes that they share stay shared."""
-    materials = first.materials + tuple(m for m in second.materials if m not in first.materials)
-    nodes = first.nodes + tuple(n for n in second.nodes if n not in first.nodes)
-    material = np.array([materials.index(m) for m in second.materials], np.int32)
-    node = np.array([nodes.index(n) for n in second.nodes], np.int32)
-    return Mesh(
-        positions=np.concatenate([first.positions, second.positions]),
-        normals=np.concatenate([first.normals, second.normals]),
-        uvs=np.concatenate([first.uvs, second.uvs]),
-        faces=np.concatenate([first.faces, second.faces + np.int32(len(first.positions))]),
-        face_material=np.concatenate([first.face_material, material[second.face_material]]),
-        face_node=np.concatenate([first.face_node, node[second.face_node]]),
-        materials=materials,
-        nodes=nodes,
-    )
 
 
 def _append(first: Leaves, second: Leaves) -> Leaves:

@@ -122,10 +122,12 @@ def keep_area(tubes: Tubes, chosen: Plan) -> Plan:
 
 
 def solid_share(mesh: Mesh, tubes: Tubes, triangles: int) -> int:
-    """How many of `triangles` the faces of no tube get: their part of the area, and no more than they have."""
+    """How many of `triangles` go to the faces of no tube: their part of the area, and what the tubes have no use for."""
     areas = mesh.face_areas
     solid = (tubes.face_ring < 0) & (areas > 0)
-    return min(int(solid.sum()), int(triangles * areas[solid].sum() / max(areas.sum(), np.finfo(np.float64).tiny)))
+    share = int(triangles * areas[solid].sum() / max(areas.sum(), np.finfo(np.float64).tiny))
+    spare = triangles - int((tubes.face_ring >= 0).sum())
+    return min(max(share, spare), int(solid.sum()))
 
 
 def _area(

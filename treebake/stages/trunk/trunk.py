@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from treebake.model import Mesh
+from treebake.stages.trunk.decimate import decimate
 from treebake.tubes.find import Tubes, find_tubes
-from treebake.tubes.loft import loft
+from treebake.tubes.loft import join, loft
 from treebake.tubes.plan import Plan, cost, keep_area, plan, ring_errors, solid_share
 
 _ROUNDS = 60  # bisections of the tolerance
@@ -37,9 +38,11 @@ def trunk(mesh: Mesh, settings: TrunkSettings) -> Mesh:
     if mesh.triangles <= settings.triangles:
         return mesh
     tubes = find_tubes(mesh)
-    chosen = _fitting_plan(tubes, settings.triangles - solid_share(mesh, tubes, settings.triangles))
-    built, _ = loft(mesh, tubes, keep_area(tubes, chosen))
-    return built
+    solid = mesh.select((tubes.face_ring < 0) & (mesh.face_areas > 0))
+    if solid.triangles:
+        solid = decimate(solid, solid_share(mesh, tubes, settings.triangles))
+    built, _ = loft(mesh, tubes, keep_area(tubes, _fitting_plan(tubes, settings.triangles - solid.triangles)))
+    return join(built, solid)
 
 
 def _fitting_plan(tubes: Tubes, triangles: int) -> Plan:
@@ -54,7 +57,7 @@ def _fitting_plan(tubes: Tubes, triangles: int) -> Plan:
         largest = np.argsort(-silhouette, kind="stable")
         kept[largest[np.cumsum(floor[largest]) > triangles]] = False
         _log.warning(
-            "trunk: %d triangles cannot hold %d tubes; left out the %d smallest, %.1f %% of the silhouette; "
+            "trunk: %d triangles cannot hold %d tubes; left out the %d smallest, %.1f %% of their silhouette; "
             "raise trunk.triangles or let twigs move them to the foliage",
             triangles,
             tubes.count,
