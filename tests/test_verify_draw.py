@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 
 from tests.synthetic import BACK, FRONT, joined, quad, small_tree, texture
+from tests.trees import tree
 from treebake.errors import GraphicsError
 from treebake.gl.context import context
 from treebake.gl.draw import Drawing, Picture, View
 from treebake.images import to_linear
+from treebake.meshes import read_mesh
 from treebake.model import AlphaMode, Material, Mesh, Texture
 from treebake.verify.cameras import FIELD_OF_VIEW, MARGIN, Camera, cameras
 
@@ -259,6 +261,20 @@ def test_a_texture_too_large_is_refused_by_name() -> None:
     wide = Texture("panorama", np.zeros((1, context().info["GL_MAX_TEXTURE_SIZE"] + 1, 4), np.uint8))
     with pytest.raises(GraphicsError, match="panorama"):
         Drawing(quad(replace(GREY, color_map=wide)))
+
+
+def test_a_real_oak_keeps_its_area_at_every_height() -> None:
+    mesh = read_mesh(tree("ez_oak_large.glb"))
+    camera = cameras(mesh, (25.0,), 1)[0]
+
+    def areas(*, exact_cutouts: bool) -> list[float]:
+        with closing(Drawing(mesh, exact_cutouts=exact_cutouts)) as drawing:
+            return [float(drawing.picture(camera.view(h)).color[..., 3].sum()) / h**2 for h in (512, 128, 64)]
+
+    exact, stock = areas(exact_cutouts=True), areas(exact_cutouts=False)
+    assert exact[1:] == pytest.approx([exact[0]] * 2, rel=0.02)
+    assert stock[0] == pytest.approx(exact[0], rel=0.02)
+    assert stock[2] < 0.7 * exact[2]
 
 
 # --- the cameras ---

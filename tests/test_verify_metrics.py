@@ -11,7 +11,7 @@ from tests.synthetic import joined, quad, small_tree, texture
 from treebake.gl.draw import Picture
 from treebake.images import flip_error, to_srgb
 from treebake.model import Material
-from treebake.verify.metrics import GREY, SKY, Scores, draw_calls, gpu_bytes, over, score, similarity
+from treebake.verify.metrics import GREY, SKY, draw_calls, gpu_bytes, over, score, score_all, similarity
 
 SIZE = 64
 NO_TRUNK = np.zeros((SIZE, SIZE), np.float32)
@@ -107,9 +107,16 @@ def test_ssim_matches_its_definition(seed: int, row: int, column: int) -> None:
     assert similarity(a, b)[row, column] == pytest.approx(ssim_at(a, b, row, column), abs=1e-9)
 
 
-def test_gathered_scores_keep_their_order() -> None:
-    views = [score(LEFT, other, NO_TRUNK) for other in (LEFT, NOTHING)]
-    assert Scores.gather(views).iou.tolist() == [1, 0]
+def test_views_keep_their_order() -> None:
+    others = [LEFT, NOTHING] * 5
+    scores = score_all(lambda other: score(LEFT, other, NO_TRUNK), iter(others))
+    assert scores.iou.tolist() == [1, 0] * 5
+    assert scores.depth.shape == (10,)
+
+
+def test_an_error_while_scoring_is_raised() -> None:
+    with pytest.raises(ZeroDivisionError):
+        score_all(lambda x: 1 // x, [1, 0, 1])
 
 
 def test_a_draw_call_for_each_material_of_each_node() -> None:

@@ -1,7 +1,9 @@
 """How far one picture is from another: FLIP, SSIM, silhouette, coverage, depth."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import astuple, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +35,6 @@ class Scores:
     foliage_area: Doubles
     depth: Doubles
 
-    @classmethod
-    def gather(cls, views: Iterable["Scores"]) -> "Scores":
-        """Put single views together."""
-        return cls(*(np.concatenate(column) for column in zip(*map(astuple, views), strict=True)))
-
 
 def score(source: Picture, candidate: Picture, trunk: Floats) -> Scores:
     """Compare a candidate's picture with the source's; trunk: (h, w) float32, how much of a pixel the trunk covers."""
@@ -57,6 +54,19 @@ def score(source: Picture, candidate: Picture, trunk: Floats) -> Scores:
         np.abs(candidate.depth - source.depth)[both].mean(dtype=np.float64) if both.any() else np.nan,
     )
     return Scores(*(np.array([figure], np.float64) for figure in figures))
+
+
+def score_all(score_view: Callable[..., Scores], *inputs: Iterable[Any]) -> Scores:
+    """Apply `score_view` to the views' inputs, and put the views together in their order.
+
+    Inputs are drawn from the iterables in this thread, where OpenGL lives, while two others score.
+    """
+    pool = ThreadPoolExecutor(2)
+    try:
+        views = list(pool.map(score_view, *inputs))
+    finally:
+        pool.shutdown(cancel_futures=True)  # an interrupt does not wait for the rest
+    return Scores(*(np.concatenate(column) for column in zip(*map(astuple, views), strict=True)))
 
 
 def over(picture: Picture, background: tuple[float, float, float]) -> Floats:

@@ -1,7 +1,6 @@
 """The protocol: which views are drawn, what is measured in them, and how the figures are summed up."""
 
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +14,7 @@ from treebake.images import flip_error
 from treebake.model import Doubles, Floats, Mesh
 from treebake.verify.cameras import Camera, cameras
 from treebake.verify.figures import Figures, summed_up
-from treebake.verify.metrics import SKY, Scores, over, score
+from treebake.verify.metrics import SKY, Scores, over, score, score_all
 from treebake.verify.reference import SCALE, reference
 from treebake.verify.thresholds import failures, parse
 
@@ -158,8 +157,7 @@ def _level(
         return result
 
     with closing(Drawing(candidate)) as drawing:
-        with ThreadPoolExecutor(2) as pool:  # scores while the next views are drawn
-            scores = Scores.gather(pool.map(judge, range(len(views)), map(drawing.picture, views)))
+        scores = score_all(judge, range(len(views)), map(drawing.picture, views))
         fragments = np.array([drawing.fragments(view) for view in views])
         samples = tuple(
             _sample(directions[index], known.picture(index), drawing.picture(views[index]))

@@ -8,7 +8,6 @@ pixel-locked would score.
 import hashlib
 import zipfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
@@ -21,7 +20,7 @@ from treebake.files import atomic
 from treebake.gl.draw import Drawing, Picture, renderer
 from treebake.model import Doubles, Floats, Mesh
 from treebake.verify.cameras import Camera
-from treebake.verify.metrics import Scores, score
+from treebake.verify.metrics import Scores, score, score_all
 
 _PACKAGE = Path(__file__).parents[1]
 _CODE = (
@@ -117,10 +116,9 @@ def _draw(
             return score(source, Picture(np.zeros_like(source.color), np.zeros_like(source.depth)), trunk)
 
         shifted = (drawing.picture(camera.view(height, shift=0.5)) for camera in cameras[SCALE])
-        with ThreadPoolExecutor(2) as pool:
-            floor_one = Scores.gather(pool.map(floor, pictures, trunks))
-            floor_half = Scores.gather(pool.map(score, pictures[SCALE], shifted, trunks[SCALE]))
-            empty = Scores.gather(pool.map(nothing, pictures[SCALE], trunks[SCALE]))
+        floor_one = score_all(floor, pictures, trunks)
+        floor_half = score_all(score, pictures[SCALE], shifted, trunks[SCALE])
+        empty = score_all(nothing, pictures[SCALE], trunks[SCALE])
     return Reference(
         colors=np.stack([picture.color for picture in pictures]).astype(np.float16),
         depths=np.stack([picture.depth for picture in pictures]),
