@@ -238,7 +238,9 @@ def _unfold(uvs: Doubles, offsets: Longs, first: Longs, ring: Longs, uv: Doubles
     mean[last] = above[last - 1]
     unfolded = uvs + np.repeat(wanted - mean, sides + 1, axis=0)
     for points, neighbour in ((last[sides[last] == 1], -1), (first[:-1][sides[first[:-1]] == 1], 1)):
-        shift = wanted[points] - wanted[points + neighbour]
+        shift = np.zeros((len(points), 2))  # along the tube only: around, the source's tip has no place of its own
+        rows = np.arange(len(points)), main[points]
+        shift[rows] = (wanted[points] - wanted[points + neighbour])[rows]
         unfolded[offsets[points]] = unfolded[offsets[points + neighbour]] + shift
         unfolded[offsets[points] + 1] = unfolded[offsets[points + neighbour + 1] - 1] + shift
     return unfolded

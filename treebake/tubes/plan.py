@@ -122,7 +122,7 @@ def keep_area(tubes: Tubes, chosen: Plan) -> Plan:
 
 
 def solid_share(mesh: Mesh, tubes: Tubes, triangles: int) -> int:
-    """How many of `triangles` go to the faces of no tube: their part of the area, and what the tubes have no use for."""
+    """How many of `triangles` go to the faces of no tube: their part of the area, or what the tubes have no use for."""
     areas = mesh.face_areas
     solid = (tubes.face_ring < 0) & (areas > 0)
     share = int(triangles * areas[solid].sum() / max(areas.sum(), np.finfo(np.float64).tiny))
