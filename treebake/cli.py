@@ -170,11 +170,11 @@ def cluster(terminal: Terminal, settings: "Settings", tree: Path, work: Path, fo
 def textures(terminal: Terminal, settings: "Settings", work: Path, out: Path | None, force: bool) -> None:
     """Render the planes of a clustered WORK folder into an atlas, simplify the trunk and publish the asset."""
     from treebake.pipeline import bake_textures
-    from treebake.summary import of_asset
+    from treebake.summary import of_baked
     from treebake.workspace import Workspace
 
-    folder = bake_textures(Workspace(work, force, terminal.announce), out, settings)
-    terminal.show({"asset": str(folder), **of_asset(folder)})
+    baked = bake_textures(Workspace(work, force, terminal.announce), out, settings)
+    terminal.show({"asset": str(baked.folder), **of_baked(baked)})
 
 
 @cli.command(short_help="Mesh in, published asset out: cluster and textures in one.")
@@ -194,13 +194,13 @@ def bake(terminal: Terminal, settings: "Settings", tree: Path, out: Path, force:
     TREE is a GLB, glTF, OBJ or PLY file; NAME is its name without the suffix.
     """
     from treebake.pipeline import bake_textures, cluster_tree
-    from treebake.summary import of_asset, of_clustered
+    from treebake.summary import of_baked, of_clustered
     from treebake.workspace import Workspace
 
     work = Workspace(out / tree.stem, force, terminal.announce)
     done = cluster_tree(tree, work, settings)
-    folder = bake_textures(work, None, settings)
-    terminal.show({"asset": str(folder), **of_clustered(done), **of_asset(folder)})
+    baked = bake_textures(work, None, settings)
+    terminal.show({"asset": str(baked.folder), **of_clustered(done), **of_baked(baked)})
 
 
 @cli.command(short_help="Render an asset next to its source and score it.")

@@ -19,7 +19,7 @@ from treebake.settings import Settings
 from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
 from treebake.stages.split import split
-from treebake.stages.trunk import trunk
+from treebake.stages.trunk import TrunkReport, compare, trunk
 from treebake.stages.twigs import twigs
 from treebake.verify import Report, verify, write_report
 from treebake.workspace import Result, Workspace
@@ -43,6 +43,14 @@ class Clustered:
     clusters: Result[Clusters] | None  # None where there is no foliage
 
 
+@dataclass(frozen=True)
+class Baked:
+    """What `bake_textures` published, and how much of the trunk is left."""
+
+    folder: Path
+    trunk: TrunkReport
+
+
 def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
     """Read a tree, split it and gather its leaves into planes.
 
@@ -57,10 +65,10 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
     return Clustered(parts, tree, clusters)
 
 
-def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Path:
+def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Baked:
     """Render the clusters of a work folder into an atlas, simplify the trunk and publish both.
 
-    The asset goes to OUT/NAME, or into the work folder itself where `out` is None. Returns its folder.
+    The asset goes to OUT/NAME, or into the work folder itself where `out` is None.
     Raises WorkspaceError where `cluster_tree` has not been run, BudgetError, GraphicsError and SettingsError.
     """
     command = f"treebake cluster TREE -o {work.folder}"
@@ -75,7 +83,8 @@ def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Path
     folder = out / source.name if out else work.folder
     with work.announce("asset"):
         write_asset(BakedTree(source.name, cloud, stem, source.triangles, source.bounds), folder)
-    return folder
+    pieces = tree.value.foliage.select(tree.value.leaves.is_twig[tree.value.leaves.face_leaf])
+    return Baked(folder, compare(work.read("split", command).value.trunk, stem, pieces))
 
 
 def inspect_tree(path: Path, settings: Settings) -> tuple[Mesh, Tree]:

@@ -11,7 +11,7 @@ from treebake.model import Mesh, Tree
 from treebake.stages.cluster import cluster_statistics
 
 if TYPE_CHECKING:
-    from treebake.pipeline import Clustered
+    from treebake.pipeline import Baked, Clustered
 
 Facts = dict[str, Any]
 
@@ -65,6 +65,11 @@ def of_clustered(done: "Clustered") -> Facts:
             "angle_worst_degrees": fit.angle_worst,
         }
     return facts
+
+
+def of_baked(baked: "Baked") -> Facts:
+    """What `treebake textures` prints: the manifest, and how much of the trunk is left."""
+    return {**of_asset(baked.folder), "trunk": asdict(baked.trunk)}
 
 
 def of_asset(folder: Path) -> Facts:

@@ -26,7 +26,7 @@ from treebake.files import atomic
 
 T = TypeVar("T")
 _PACKAGE = Path(__file__).parent
-_GROUND = ("model.py", "geometry.py", "images.py", "gl", "tubes")  # what every stage builds on: part of each one's version
+_GROUND = ("model.py", "geometry.py", "images.py", "gl", "tubes")  # part of every version
 _DAMAGED = (OSError, KeyError, ValueError, TypeError, AttributeError, zipfile.BadZipFile)
 
 
