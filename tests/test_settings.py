@@ -42,6 +42,13 @@ def test_later_files_and_overrides_win(tmp_path: Path) -> None:
     assert (settings.cluster.billboards, settings.cluster.seed, settings.cluster.iterations) == (3, 2, 9)
 
 
+def test_trunk_budget_is_the_twigs_too_unless_they_have_their_own() -> None:
+    both = load_settings(overrides={"trunk": {"triangles": 500}})
+    assert (both.trunk.triangles, both.twigs.trunk_triangles) == (500, 500)
+    own = load_settings(overrides={"trunk": {"triangles": 500}, "twigs": {"trunk_triangles": 900}})
+    assert (own.trunk.triangles, own.twigs.trunk_triangles) == (500, 900)
+
+
 def test_tables_within_settings_merge_too(tmp_path: Path) -> None:
     path = written(tmp_path, "[verify.thresholds]\ncoverage_min = 0.9\nflip_ratio = { 512 = 1.2 }\n")
     overrides = parse_assignments(["verify.thresholds.flip_ratio.256=1", "verify.thresholds.coverage_min=0.95"])

@@ -55,6 +55,8 @@ class Key:
 def load_settings(paths: Sequence[Path] = (), overrides: Tables | None = None) -> Settings:
     """Merge TOML files, later ones over earlier ones, and `overrides` over all of them; so do the tables in settings.
 
+    trunk.triangles sets twigs.trunk_triangles too, which is the same budget, unless that is set itself.
+
     Raises SettingsError, naming the file and the key, for a file that cannot be read, an unknown key (with the nearest
     known one) and a value of the wrong type.
     """
@@ -62,6 +64,8 @@ def load_settings(paths: Sequence[Path] = (), overrides: Tables | None = None) -
     for origin, tables in [*((str(path), _read(path)) for path in paths), ("command line", overrides or {})]:
         _check(origin, tables)
         merged = _merge(merged, tables)
+    if budget := merged.get("trunk", {}).get("triangles"):  # it is the twigs' too, where they have none of their own
+        merged = _merge({"twigs": {"trunk_triangles": budget}}, merged)
     return msgspec.convert(merged, Settings)
 
 
