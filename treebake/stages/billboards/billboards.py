@@ -35,7 +35,7 @@ class BillboardSettings:
     triangles: int = 4000  # of all cards, at most; one card per plane is always made
     padding: int = 2  # texels kept free around each card, 1 or more
     supersample: int = 4  # samples per texel each way, 1 to 8
-    cutoff: float = 0.4  # alphaCutoff of the cards, 0.1 to 0.9
+    cutoff: float = 0.5  # alphaCutoff of the cards, 0.1 to 0.9
 
 
 def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> BillboardCloud:
