@@ -136,7 +136,7 @@ class Drawing:
 
     def _upload(self, mesh: Mesh) -> None:
         gl = self._gl
-        self._program, self._counter = program("lit"), program("count")
+        self._program, self._counter = program("lit_exact" if self._exact_cutouts else "lit"), program("count")
         buffers = [
             (self._own(gl.buffer(np.ascontiguousarray(values, np.float32))), layout, name)
             for values, layout, name in (
@@ -187,7 +187,6 @@ class Drawing:
         lit["base_color"] = material.base_color
         lit["alpha_mode"] = _ALPHA_MODES[material.alpha_mode]
         lit["alpha_cutoff"] = material.alpha_cutoff
-        lit["exact_cutouts"] = self._exact_cutouts
         lit["has_normal_map"] = material.normal_map is not None
         lit["color_map"], lit["normal_map"] = 0, 1
         self._texture(material.color_map or _WHITE, srgb=True).use(0)

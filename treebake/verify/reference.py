@@ -27,6 +27,7 @@ _CODE = (
     "images.py",
     "gl/draw.py",
     "gl/shaders/lit.glsl",
+    "gl/shaders/lit_exact.glsl",
     "verify/cameras.py",
     "verify/metrics.py",
     "verify/reference.py",

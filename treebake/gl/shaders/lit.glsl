@@ -1,7 +1,7 @@
 // Draws glTF materials as a stock real-time client does: Lambert under one sun and a two-colour sky, out in linear light.
 // Lights stand still in the world, so a tree is seen lit from all sides as the camera goes round.
 
-#ifdef FRAGMENT_STAGE
+#ifdef EXACT_CUTOUTS  // a variant of its own: a software renderer runs both sides of every branch
 #extension GL_ARB_sample_shading : require  // for gl_SampleMask
 #endif
 
@@ -42,7 +42,6 @@ uniform sampler2D normal_map;
 uniform bool has_normal_map;
 uniform int alpha_mode;
 uniform float alpha_cutoff;
-uniform bool exact_cutouts;  // cut MASK out as if the leaf were modelled, not as a client with mipmaps does
 
 in vec3 position;
 in vec3 normal;
@@ -73,6 +72,7 @@ vec3 bumped(vec3 facing, float side, vec3 bump) {
     return normalize(side * (tangent * bump.x + bitangent * bump.y) + facing * bump.z);
 }
 
+#ifdef EXACT_CUTOUTS
 // Where a pixel's 4 samples lie, from its centre: the standard pattern.
 const vec2 SAMPLES[4] = vec2[](vec2(-0.125, -0.375), vec2(0.375, -0.125), vec2(-0.375, 0.125), vec2(0.125, 0.375));
 
@@ -90,15 +90,19 @@ vec4 cut_out(out int passed) {
     }
     return sum / max(sum.a, 1.0);
 }
+#endif
 
 void main() {
     float side = gl_FrontFacing ? 1.0 : -1.0;
     vec4 albedo = base_color * texture(color_map, uv);
     vec3 facing = side * normalize(normal);
     if (has_normal_map) facing = bumped(facing, side, texture(normal_map, uv).xyz * 2.0 - 1.0);
+#ifdef EXACT_CUTOUTS
     gl_SampleMask[0] = ~0;
-    if (alpha_mode == MASK && exact_cutouts) albedo = cut_out(gl_SampleMask[0]);
-    else if (alpha_mode == MASK && albedo.a < alpha_cutoff) discard;
+    if (alpha_mode == MASK) albedo = cut_out(gl_SampleMask[0]);
+#else
+    if (alpha_mode == MASK && albedo.a < alpha_cutoff) discard;
+#endif
 
     vec3 light = SUN * max(dot(facing, SUN_DIRECTION), 0.0) + mix(GROUND, SKY, 0.5 + 0.5 * facing.y);
     float alpha = alpha_mode == BLEND ? albedo.a : 1.0;
