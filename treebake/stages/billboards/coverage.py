@@ -17,8 +17,8 @@ import numpy as np
 from treebake.model import Doubles, Floats
 
 _BLOCK = 4  # texels each way within which coverage is kept (remainders are dithered)
-_STEP = 0.08  # mean distance from the cutoff that a block's texels aim for; more leaves less room for other levels
-_MARGIN = 6 / 255  # distance from the cutoff that survives rounding to 8 bits, with room for a sampler's own rounding
+_STEP = 0.03  # mean distance from the cutoff that a block's texels aim for; more leaves less room for other levels
+_MARGIN = 2 / 255  # distance from the cutoff that survives rounding to 8 bits, here and in every mip
 _ROUNDS = 4  # corrections of the quotas; the area is then right within a few per cent at every level
 _LAST_SIDE = 32  # texels on the shorter side of the last level that is shaped
 
