@@ -349,3 +349,58 @@ def test_grow_is_seeded(tmp_path: Path, treebake: Callable[..., Outcome]) -> Non
         assert json.loads(result.out)["triangles"] > 20
     a, b, c = ((tmp_path / f"{name}.glb").read_bytes() for name in "abc")
     assert a == b != c
+
+
+SMALL = ("--set", "verify.heights=[32]", "--set", "verify.azimuths=1", "--set", "verify.elevations=[0]")
+
+
+@pytest.fixture
+def asset(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> Path:
+    assert treebake("bake", tree, "-o", tmp_path / "out", *TEXTURES).code == 0
+    return tmp_path / "out/tree"
+
+
+def test_verify_writes_a_report_and_passes(asset: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    result = treebake("verify", asset, "--source", tree, *SMALL, "--json")
+    assert result.code == 0, result.err
+    facts = json.loads(result.out)
+    assert facts["report"] == str(asset / "report")
+    assert [row["height"] for row in facts["heights"]] == [32]
+    assert json.loads((asset / "report/report.json").read_text())["heights"] == facts["heights"]
+    assert (asset / "report/32px.png").exists()
+
+
+def test_missed_threshold_is_named_and_exits_1(asset: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    result = treebake("verify", asset, "--source", tree, *SMALL, "-q", "--threshold", "ssim_min.32=1.01")
+    assert result.code == 1
+    assert result.lines[0].startswith("treebake: missed: ")
+    assert "ssim at 32 px" in result.err
+
+
+def test_verify_judges_a_third_party_file(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    copy = tmp_path / "theirs/copy.glb"
+    copy.parent.mkdir()
+    copy.write_bytes(tree.read_bytes())
+    result = treebake("verify", "--source", tree, "--candidate", copy, *SMALL, "--json")
+    assert result.code == 0, result.err
+    facts = json.loads(result.out)
+    assert facts["report"] == str(tmp_path / "theirs/copy_report")
+    assert facts["heights"][0]["flip"] == 0
+
+
+def test_verify_without_anything_to_judge_is_a_usage_error(tree: Path, treebake: Callable[..., Outcome]) -> None:
+    assert treebake("verify", "--source", tree).code == 2
+
+
+def test_verify_of_an_unpublished_work_folder_is_one_line(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    treebake("cluster", tree, "-o", tmp_path / "work")
+    result = treebake("verify", tmp_path / "work", "--source", tree, "-q")
+    assert (result.code, len(result.lines)) == (2, 1)
+    assert "manifest.json" in result.err
+
+
+def test_inspect_tells_trees_from_assets(asset: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    assert json.loads(treebake("inspect", tree, "--json").out)["triangles"] == 52
+    assert json.loads(treebake("inspect", asset, "--json").out)["source_triangles"] == 52
