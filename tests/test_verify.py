@@ -87,13 +87,17 @@ def test_coverage_is_the_candidates_area_over_the_sources() -> None:
     assert level.candidate.overdraw == pytest.approx(1, abs=0.02)
 
 
-def test_foliage_coverage_leaves_the_trunk_out() -> None:
+def test_foliage_coverage_takes_the_trunk_off() -> None:
     trunk = TREE.select(TREE.face_material == 0)
-    (level, *_) = verify(TREE, TREE.select(TREE.face_material != 0), FEW, trunk=trunk).levels
-    assert level.candidate.foliage_coverage == pytest.approx(1, abs=0.03)  # edges apart
-    assert level.candidate.coverage < 0.95
-    (level, *_) = verify(TREE, trunk, FEW, trunk=trunk).levels
-    assert level.candidate.foliage_coverage == pytest.approx(0, abs=0.03)
+    settings = replace(FEW, elevations=(0.0,), azimuths=1)
+    (level, *_) = verify(TREE, TREE, settings, trunk=trunk).levels
+    assert level.candidate.foliage_coverage == 1
+    assert level.floor_one.foliage_coverage == pytest.approx(1, abs=1e-6)
+    assert level.empty.foliage_coverage == 0
+    (level, *_) = verify(TREE, trunk, settings, trunk=trunk).levels
+    assert level.candidate.foliage_coverage == pytest.approx(0, abs=1e-6)
+    (level, *_) = verify(TREE, TREE.select(np.arange(8) < 4), settings, trunk=trunk).levels  # one leaf of three
+    assert level.candidate.foliage_coverage == pytest.approx(0.31, abs=0.02)  # by areas: 0.42 of 1.38 square units
 
 
 def test_the_source_is_drawn_as_it_is_and_the_candidate_as_a_client_does() -> None:

@@ -14,7 +14,6 @@ from treebake.model import Material
 from treebake.verify.metrics import GREY, SKY, draw_calls, gpu_bytes, over, score, score_all, similarity
 
 SIZE = 64
-NO_TRUNK = np.zeros((SIZE, SIZE), np.float32)
 
 
 def picture(rows: slice, columns: slice, *, alpha: float = 1.0, depth: float = 5.0, color: float = 0.3) -> Picture:
@@ -31,19 +30,19 @@ NOTHING = picture(slice(0, 0), ALL)
 
 
 def test_a_picture_against_itself() -> None:
-    s = score(LEFT, LEFT, NO_TRUNK)
+    s = score(LEFT, LEFT)
     assert (s.flip[0], s.iou[0], s.area[0], s.depth[0]) == (0, 1, 32 * SIZE, 0)
     assert s.ssim[0] == pytest.approx(1)
 
 
 def test_nothing_against_nothing() -> None:
-    s = score(NOTHING, NOTHING, NO_TRUNK)
+    s = score(NOTHING, NOTHING)
     assert (s.flip[0], s.iou[0], s.area[0]) == (0, 1, 0)
     assert np.isnan(s.depth[0])
 
 
 def test_shifted_rectangle() -> None:
-    s = score(LEFT, picture(ALL, slice(16, 48), depth=5.25), NO_TRUNK)
+    s = score(LEFT, picture(ALL, slice(16, 48), depth=5.25))
     assert s.iou[0] == pytest.approx(16 / 48)
     assert s.area[0] == 32 * SIZE
     assert s.depth[0] == pytest.approx(0.25)
@@ -52,18 +51,13 @@ def test_shifted_rectangle() -> None:
 
 
 def test_half_covered_pixels_count_half() -> None:
-    s = score(LEFT, picture(ALL, slice(0, 32), alpha=0.5), NO_TRUNK)
+    s = score(LEFT, picture(ALL, slice(0, 32), alpha=0.5))
     assert s.area[0] == 16 * SIZE
     assert s.iou[0] == pytest.approx(0.5)
 
 
 def test_depth_is_compared_where_both_cover_half_a_pixel() -> None:
-    assert np.isnan(score(LEFT, picture(ALL, slice(0, 32), alpha=0.49), NO_TRUNK).depth[0])
-
-
-def test_what_the_trunk_covers_is_no_foliage() -> None:
-    trunk = picture(ALL, slice(0, 8)).color[..., 3] + 0.5 * picture(ALL, slice(8, 16)).color[..., 3]
-    assert score(NOTHING, LEFT, trunk).foliage_area[0] == (16 + 4) * SIZE
+    assert np.isnan(score(LEFT, picture(ALL, slice(0, 32), alpha=0.49)).depth[0])
 
 
 def test_flip_and_ssim_are_means_over_the_window_and_two_backgrounds() -> None:
@@ -75,7 +69,7 @@ def test_flip_and_ssim_are_means_over_the_window_and_two_backgrounds() -> None:
         alpha = rng.random((30, 20, 1), np.float32)
         pixels[40:70, 30:50] = np.concatenate([rng.random((30, 20, 3), np.float32) * alpha, alpha], axis=2)
         pictures.append(Picture(pixels, np.zeros((96, 96), np.float32)))
-    s = score(*pictures, np.zeros((96, 96), np.float32))
+    s = score(*pictures)
     pairs = [[over(p, background) for p in pictures] for background in (SKY, GREY)]
     assert s.flip[0] == pytest.approx(np.mean([flip_error(*pair).mean() for pair in pairs]), rel=1e-4)
     assert s.ssim[0] == pytest.approx(np.mean([similarity(*pair).mean() for pair in pairs]), rel=1e-6)
@@ -109,7 +103,7 @@ def test_ssim_matches_its_definition(seed: int, row: int, column: int) -> None:
 
 def test_views_keep_their_order() -> None:
     others = [LEFT, NOTHING] * 5
-    scores = score_all(lambda other: score(LEFT, other, NO_TRUNK), iter(others))
+    scores = score_all(lambda other: score(LEFT, other), iter(others))
     assert scores.iou.tolist() == [1, 0] * 5
     assert scores.depth.shape == (10,)
 

@@ -24,7 +24,7 @@ class Scores:
     """What was measured in each of n views, every field (n,) float64.
 
     flip, ssim: means over the window and both backgrounds. iou: of the silhouettes. area: pixels that the candidate
-    covers. foliage_area: the same, outside the source's trunk. depth: mean difference, in the mesh's unit, over the
+    covers. depth: mean difference, in the mesh's unit, over the
     pixels that both cover; NaN where there are none.
     """
 
@@ -32,12 +32,11 @@ class Scores:
     ssim: Doubles
     iou: Doubles
     area: Doubles
-    foliage_area: Doubles
     depth: Doubles
 
 
-def score(source: Picture, candidate: Picture, trunk: Floats) -> Scores:
-    """Compare a candidate's picture with the source's; trunk: (h, w) float32, how much of a pixel the trunk covers."""
+def score(source: Picture, candidate: Picture) -> Scores:
+    """Compare a candidate's picture with the source's."""
     ours, theirs = candidate.color[..., 3], source.color[..., 3]
     union = np.maximum(ours, theirs)
     both = (ours >= 0.5) & (theirs >= 0.5)
@@ -50,7 +49,6 @@ def score(source: Picture, candidate: Picture, trunk: Floats) -> Scores:
         1 - dissimilarity,
         np.minimum(ours, theirs).sum(dtype=np.float64) / union.sum(dtype=np.float64) if union.any() else 1.0,
         ours.sum(dtype=np.float64),
-        (ours * (1 - trunk)).sum(dtype=np.float64),
         np.abs(candidate.depth - source.depth)[both].mean(dtype=np.float64) if both.any() else np.nan,
     )
     return Scores(*(np.array([figure], np.float64) for figure in figures))

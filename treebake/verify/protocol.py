@@ -152,7 +152,7 @@ def _level(
     views = [camera.view(height) for camera in directions]
 
     def judge(index: int, picture: Picture) -> Scores:
-        result = score(known.picture(index), picture, known.trunk(index))
+        result = score(known.picture(index), picture)
         scored(1)
         return result
 

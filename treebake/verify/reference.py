@@ -32,8 +32,6 @@ _CODE = (
     "verify/metrics.py",
     "verify/reference.py",
 )
-
-Halves = NDArray[np.float16]
 _SCORES = ("floor_one", "floor_half", "empty")
 SCALE = slice(None, None, 3)  # every third camera: of 24, 8 that hold all elevations and azimuths
 
@@ -42,17 +40,16 @@ SCALE = slice(None, None, 3)  # every third camera: of 24, 8 that hold all eleva
 class Reference:
     """One height's views of the source.
 
-    colors: (n, h, w, 4) float16 and depths: (n, h, w) float32, as in Picture. trunks: (n, h, w) float16, alpha of the
-    trunk alone. area, foliage_area: (n,) float64, pixels that the source covers, in all and outside the trunk.
-    fragments: (n,) float64. floor_one, floor_half, empty: the scores of the source shifted by 1 and 0.5 pixels, and of
-    an empty scene; the latter two, which only give the reader a scale, in the views SCALE alone.
+    colors: (n, h, w, 4) float16 and depths: (n, h, w) float32, as in Picture. area, trunk_area: (n,) float64, pixels
+    that the source covers, and that its trunk would cover without leaves. fragments: (n,) float64. floor_one,
+    floor_half, empty: the scores of the source shifted by 1 and 0.5 pixels, and of an empty scene; the latter two,
+    which only give the reader a scale, in the views SCALE alone.
     """
 
-    colors: Halves
+    colors: NDArray[np.float16]
     depths: Floats
-    trunks: Halves
     area: Doubles
-    foliage_area: Doubles
+    trunk_area: Doubles
     fragments: Doubles
     floor_one: Scores
     floor_half: Scores
@@ -61,11 +58,6 @@ class Reference:
     def picture(self, view: int) -> Picture:
         """The source in one view."""
         return Picture(self.colors[view].astype(np.float32), self.depths[view])
-
-    def trunk(self, view: int) -> Floats:
-        """How much of each pixel the trunk covers, leaves aside."""
-        alpha: Floats = self.trunks[view].astype(np.float32)
-        return alpha
 
 
 def reference(
@@ -100,40 +92,39 @@ def _draw(
     with closing(Drawing(source, exact_cutouts=True)) as drawing:
         pictures = [drawing.picture(view) for view in views]
         fragments = np.array([drawing.fragments(view) for view in views])
-        if trunk is None:
-            trunks = [np.zeros_like(picture.depth) for picture in pictures]
-        else:
-            with closing(Drawing(trunk, exact_cutouts=True)) as bare:
-                trunks = [bare.picture(view).color[..., 3] for view in views]
 
-        def floor(source: Picture, trunk: Floats) -> Scores:
+        def floor(source: Picture) -> Scores:
             # A whole pixel's shift moves the same samples on, and the margin is empty: no need to draw again.
             one = Picture(np.roll(source.color, 1, axis=1), np.roll(source.depth, 1, axis=1))
-            result = score(source, one, trunk)
+            result = score(source, one)
             scored(1)
             return result
 
-        def nothing(source: Picture, trunk: Floats) -> Scores:
-            return score(source, Picture(np.zeros_like(source.color), np.zeros_like(source.depth)), trunk)
+        def nothing(source: Picture) -> Scores:
+            return score(source, Picture(np.zeros_like(source.color), np.zeros_like(source.depth)))
 
         shifted = (drawing.picture(camera.view(height, shift=0.5)) for camera in cameras[SCALE])
-        floor_one = score_all(floor, pictures, trunks)
-        floor_half = score_all(score, pictures[SCALE], shifted, trunks[SCALE])
-        empty = score_all(nothing, pictures[SCALE], trunks[SCALE])
+        floor_one = score_all(floor, pictures)
+        floor_half = score_all(score, pictures[SCALE], shifted)
+        empty = score_all(nothing, pictures[SCALE])
+    trunk_area = np.zeros(len(views))
+    if trunk is not None:
+        with closing(Drawing(trunk, exact_cutouts=True)) as drawing:
+            trunk_area = np.array([_area(drawing.picture(view)) for view in views])
     return Reference(
         colors=np.stack([picture.color for picture in pictures]).astype(np.float16),
         depths=np.stack([picture.depth for picture in pictures]),
-        trunks=np.stack(trunks).astype(np.float16),
-        area=np.array([picture.color[..., 3].sum() for picture in pictures], np.float64),
-        foliage_area=np.array(
-            [(picture.color[..., 3] * (1 - trunk)).sum() for picture, trunk in zip(pictures, trunks, strict=True)],
-            np.float64,
-        ),
+        area=np.array([_area(picture) for picture in pictures]),
+        trunk_area=trunk_area,
         fragments=fragments,
         floor_one=floor_one,
         floor_half=floor_half,
         empty=empty,
     )
+
+
+def _area(picture: Picture) -> float:
+    return float(picture.color[..., 3].sum(dtype=np.float64))
 
 
 def _key(source: Mesh, trunk: Mesh | None, cameras: Sequence[Camera], height: int) -> str:
