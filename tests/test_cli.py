@@ -263,6 +263,7 @@ def test_odd_foliage_still_bakes(tmp_path: Path, treebake: Callable[..., Outcome
     facts = json.loads(result.out)
     assert facts["leaves"] == leaves
     assert 1 <= facts["billboards"] <= min(8, leaves)
+    assert ("of the 8 billboards asked for" in result.err) == (leaves < 8)
 
 
 def test_unwritable_output_is_one_line(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:

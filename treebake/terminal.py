@@ -20,7 +20,7 @@ class Terminal:
         self.as_json = as_json
         logger = logging.getLogger("treebake")
         logger.handlers = [_Lines()]
-        logger.setLevel(logging.DEBUG if verbose else logging.WARNING)
+        logger.setLevel(logging.WARNING if quiet else logging.DEBUG if verbose else logging.INFO)
         logger.propagate = False
 
     @contextmanager
@@ -54,14 +54,15 @@ class Terminal:
 
 
 class _Lines(logging.Handler):
-    """Warnings, one line each and each only once."""
+    """Warnings and notes, one line each and each only once."""
 
     def __init__(self) -> None:
         super().__init__()
         self.said: set[str] = set()
 
     def emit(self, record: logging.LogRecord) -> None:
-        line = f"treebake: {record.levelname.lower()}: {record.getMessage()}"
+        kind = "warning" if record.levelno >= logging.WARNING else "note"
+        line = f"treebake: {kind}: {record.getMessage()}"
         if line not in self.said:
             self.said.add(line)
             say(line)

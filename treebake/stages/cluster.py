@@ -14,6 +14,7 @@ E is linear in sixteen numbers per leaf (p p^T, p, 1, Q), so one matrix product 
 and the same numbers summed per cluster give the matrix A of equation 5.
 """
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,8 @@ from scipy import sparse
 
 from treebake.errors import MeshError, SettingsError
 from treebake.model import Clusters, Doubles, Ints, Leaves
+
+LOG = logging.getLogger("treebake")
 
 _BATCH = 16384  # leaves whose errors are held at once: 36 MB at 278 planes
 _PAIRS = (np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2]))  # the six entries of a symmetric 3x3
@@ -50,6 +53,8 @@ def cluster(leaves: Leaves, settings: ClusterSettings) -> Clusters:
     features = _features(leaves, origin, settings.angle_weight)
     weights = leaves.areas / leaves.areas.mean()  # an error counts for as much as is seen of it
     count = min(settings.billboards, leaves.count)
+    if count < settings.billboards:
+        LOG.info("cluster: %d leaves fill %d of the %d billboards asked for", count, count, settings.billboards)
     planes = _first_planes(features, weights, count, settings)
     labels = np.full(leaves.count, -1, np.int32)
     for _ in range(settings.iterations):
