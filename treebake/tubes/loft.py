@@ -30,6 +30,8 @@ def loft(mesh: Mesh, tubes: Tubes, chosen: Plan) -> tuple[Mesh, Longs]:
     fraction[own] = rings.fractions[(rings.first[chosen.ring][row] + column)[own]]
     after = np.minimum(chosen.ring + 1, len(rings.sides) - 1)
     low = _sample(rings, chosen.ring[row], fraction)
+    tip = point[row]  # where the source's normals may cancel out: as on the ring beside
+    low[1][tip] = _sample(rings, chosen.ring[beside[row[tip]]], fraction[tip])[1]
     high = _sample(rings, after[row], fraction)
     position, normal, uv = (a + chosen.blend[row, None] * (b - a) for a, b in zip(low, high, strict=True))
     center = rings.centers[chosen.ring] + chosen.blend[:, None] * (rings.centers[after] - rings.centers[chosen.ring])
