@@ -6,6 +6,7 @@ import pytest
 from stems import empty, flat_shaded, mesh_of, sphere, stem, together
 from trees import tree as file_of
 
+from treebake.errors import SettingsError
 from treebake.meshes import read_mesh
 from treebake.model import Material
 from treebake.stages.trunk import TrunkSettings, compare, trunk
@@ -14,6 +15,11 @@ from treebake.stages.trunk import TrunkSettings, compare, trunk
 def test_within_the_budget_nothing_changes():
     mesh = stem()
     assert trunk(mesh, TrunkSettings(triangles=mesh.triangles)) is mesh
+
+
+def test_a_budget_of_nothing():
+    with pytest.raises(SettingsError, match="it must be above 0"):
+        trunk(stem(), TrunkSettings(triangles=0))
 
 
 @pytest.mark.parametrize("mesh", [empty(), mesh_of(np.eye(3), [(0, 1, 2)])], ids=["no trunk", "one triangle"])

@@ -3,6 +3,7 @@ import pytest
 from stems import empty, mesh_of, sphere, stem, together, tree_of
 from trees import tree as file_of
 
+from treebake.errors import SettingsError
 from treebake.geometry import components, weld
 from treebake.meshes import read_mesh
 from treebake.stages.split import SplitSettings, split
@@ -114,6 +115,16 @@ def test_no_tubes_to_move(mesh):
 def test_without_foliage_nothing_moves():
     tree = tree_of(together(THICK, *forest(3)), leaves=0)
     assert twigs(tree, TwigSettings(trunk_triangles=10)) is tree
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [TwigSettings(trunk_triangles=0), TwigSettings(radius=2), TwigSettings(detail=0), TwigSettings(length=-1)],
+    ids=["trunk_triangles", "radius", "detail", "length"],
+)
+def test_settings_out_of_range(settings, request):
+    with pytest.raises(SettingsError, match=rf"\[twigs\] {request.node.callspec.id} is"):
+        twigs(tree_of(THICK), settings)
 
 
 def test_tree_is_not_changed():

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from treebake.errors import SettingsError
 from treebake.model import Doubles, Leaves, Mesh, Tree
 from treebake.tubes.find import Tubes, find_tubes
 from treebake.tubes.loft import join, loft
@@ -25,11 +26,8 @@ class TwigSettings:
     """Which tubes move, and how they are cut."""
 
     trunk_triangles: int = 8000  # triangles that the trunk may have; the thinnest tubes move until the rest fits, > 0
-    radius: float = (
-        -1.0
-    )  # tubes thinner than this part of the tree's height move; 0 moves none, negative fits the budget
-    detail: float = 0.0005  # shift of the silhouette that counts as unseen, as a part of the tree's height, > 0
-    coarseness: float = 0.5  # the shift allowed to a trunk whose thinnest tubes have moved, as a part of their radius
+    radius: float = -1.0  # tubes below this part of the tree's height move; 0 moves none, negative fits the budget
+    detail: float = 0.001  # shift of the trunk's silhouette that counts as unseen, as a part of the tree's height, > 0
     length: float = 1.0  # of a piece, in median leaf diameters, > 0
 
 
@@ -40,7 +38,10 @@ def twigs(tree: Tree, settings: TwigSettings) -> Tree:
     into pieces of equal length, each one an element of the leaves with its direction as `axes`, a prism of three sides
     with the texture coordinates and smooth normals of the bark as geometry, and the area of its silhouette, 2 r L, as
     area. Nothing moves where there is no foliage to move to, or the trunk is within its budget.
+
+    Raises SettingsError where a setting is out of range.
     """
+    _check(settings)
     mesh = tree.trunk
     modest = settings.radius < 0 and mesh.triangles <= settings.trunk_triangles
     if tree.leaves.count == 0 or settings.radius == 0 or modest:
@@ -61,6 +62,17 @@ def twigs(tree: Tree, settings: TwigSettings) -> Tree:
     return replace(tree, trunk=mesh.select(stays), foliage=foliage, leaves=_append(tree.leaves, leaves))
 
 
+def _check(settings: TwigSettings) -> None:
+    for name, valid, hint in (
+        ("trunk_triangles", settings.trunk_triangles > 0, "above 0"),
+        ("radius", settings.radius <= 1, "at most 1"),
+        ("detail", settings.detail > 0, "above 0"),
+        ("length", settings.length > 0, "above 0"),
+    ):
+        if not valid:
+            raise SettingsError(f"[twigs] {name} is {getattr(settings, name)}; it must be {hint}")
+
+
 def _cuts(tubes: Tubes, radius: float) -> Longs:
     """(T,) the ring from which on each tube is thinner than `radius`; its last where it never is."""
     thick = np.flatnonzero(tubes.rings.radii >= radius)
@@ -70,15 +82,19 @@ def _cuts(tubes: Tubes, radius: float) -> Longs:
 
 
 def _fitting_radius(mesh: Mesh, tubes: Tubes, height: float, settings: TwigSettings) -> float:
-    """The least radius that leaves a trunk within its budget, simplified as coarsely as suits its thinnest tubes."""
+    """The least radius that leaves a trunk within its budget when it is simplified by an unseen shift.
+
+    Measured on the birch, 12,000 triangles in all at 256 pixels: FLIP over floor(1 px) is 1.26, 1.24 and 1.25 with a
+    shift of 0.0005, 0.001 and 0.002 of the height, which move 9,627, 8,460 and 7,716 pieces.
+    """
     budget = settings.trunk_triangles - solid_share(mesh, tubes, settings.trunk_triangles)
-    errors, number = ring_errors(tubes), np.arange(len(tubes.tube))
+    tolerance = settings.detail * height
+    unseen, number = ring_errors(tubes) <= tolerance, np.arange(len(tubes.tube))
 
     def fits(radius: float) -> bool:
-        tolerance = max(settings.coarseness * radius, settings.detail * height)
         cut = _cuts(tubes, radius)[tubes.tube]
         inside = (number <= cut) & (cut > tubes.first[:-1][tubes.tube])
-        kept = np.flatnonzero(inside & ((errors > tolerance) | (number == cut)))
+        kept = np.flatnonzero(inside & (~unseen | (number == cut)))
         return int(cost(tubes, plan(tubes, kept, tolerance)).sum()) <= budget
 
     if fits(0.0):

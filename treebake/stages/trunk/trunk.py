@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from treebake.errors import SettingsError
 from treebake.model import Mesh
 from treebake.stages.trunk.decimate import decimate
 from treebake.tubes.find import Tubes, find_tubes
@@ -34,7 +35,11 @@ def trunk(mesh: Mesh, settings: TrunkSettings) -> Mesh:
     area of the silhouette around it are kept; material, texture coordinates and normals are the source's.
     The budget is a hard cap: where three-sided tubes of one section are still too many, the smallest are left out,
     with a warning.
+
+    Raises SettingsError where a setting is out of range.
     """
+    if not settings.triangles > 0:
+        raise SettingsError(f"[trunk] triangles is {settings.triangles}; it must be above 0")
     if mesh.triangles <= settings.triangles:
         return mesh
     tubes = find_tubes(mesh)
