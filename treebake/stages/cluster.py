@@ -35,8 +35,8 @@ class ClusterSettings:
     """How leaves are gathered into planes."""
 
     billboards: int = 2000  # planes, 1 or more; capped at the number of leaves
-    angle_weight: float = 1.0  # alpha over the squared leaf radius, > 0; 0.25 weighs distance and turn as displacement
-    compactness: float = 0.001  # weight of the squared distance to the cluster's centre, >= 0; 0 is the paper's
+    angle_weight: float = 2.0  # alpha over the squared leaf radius, > 0; 0.25 weighs distance and turn as displacement
+    compactness: float = 0.005  # weight of the squared distance to the cluster's centre, >= 0; 0 is the paper's
     iterations: int = 60  # at most, 1 or more; stops earlier once fewer than one leaf in 2,000 changes its plane
     seed: int = 0  # of the random choice of the first planes
 
