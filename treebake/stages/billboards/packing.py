@@ -5,7 +5,7 @@ import numpy as np
 from treebake.errors import BudgetError
 from treebake.model import Doubles, Ints
 
-_STEPS = 24  # of the bisection; the density is then exact to one part in 10^6
+_STEPS = 24  # of the bisection; the density is then exact to a thousandth of a texel across the atlas
 
 
 def pack(sizes: Doubles, limit: int, density_limit: float, padding: int) -> tuple[Ints, float, tuple[int, int]]:
@@ -21,11 +21,12 @@ def pack(sizes: Doubles, limit: int, density_limit: float, padding: int) -> tupl
     atlases = [
         (side, height) for side in (1 << bits for bits in range(6, limit.bit_length())) for height in (side // 2, side)
     ]
+    largest = float(sizes.max())
+    low, high = 1 / largest, min(density_limit, limit / largest)  # one texel each, and more than the atlas is wide
     for width, height in atlases:
-        origins = _shelves(sizes, density_limit, padding, width, height)
+        origins = _shelves(sizes, high, padding, width, height)
         if origins is not None:
-            return origins, density_limit, (width, height)
-    low, high = 0.0, density_limit
+            return origins, high, (width, height)
     best = _shelves(sizes, low, padding, limit, limit)
     if best is None:
         raise BudgetError(
