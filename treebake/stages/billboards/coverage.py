@@ -73,8 +73,9 @@ class _Level:
         limit /= 2
         spread = np.abs(self.ranked - limit).mean(axis=2, keepdims=True)
         gain = _STEP / np.maximum(spread, 1e-4)
-        gain[self.ranked[..., :1] == 0] = 0
-        limit[self.ranked[..., :1] == 0] = 0
+        empty, full = self.ranked[..., :1] == 0, self.ranked[..., -1:] == 1  # nothing to choose: 0 and 1
+        limit[empty | full] = 0
+        gain[empty], gain[full] = 0, 1
         rows, columns = self.share.shape
         limit, gain = (x[..., 0].repeat(_BLOCK, axis=0).repeat(_BLOCK, axis=1)[:rows, :columns] for x in (limit, gain))
         wish = cutoff + np.clip((self.share - limit) * gain, -cutoff, 1 - cutoff)
