@@ -20,19 +20,20 @@ _BLOCK = 4  # texels each way within which coverage is kept (remainders are dith
 _STEP = 0.03  # mean distance from the cutoff that a block's texels aim for; more leaves less room for other levels
 _MARGIN = 2 / 255  # distance from the cutoff that survives rounding to 8 bits, here and in every mip
 _ROUNDS = 4  # corrections of the quotas; the area is then right within a few per cent at every level
-_LAST_SIDE = 128  # texels on the shorter side of the last level that is shaped
+_LAST_SIDE = 16  # texels on the shorter side of the last level that is shaped
 
 # Bayer's 4x4 ordered dither, thresholds in 0..1: spreads the rounding of blocks evenly over the atlas.
 _BAYER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) / 16
 
 
-def preserve_coverage(coverage: Floats, cutoff: float) -> Floats:
+def preserve_coverage(coverage: Floats, cutoff: float, gain: float = 1.0) -> Floats:
     """Alpha that passes `cutoff` over the same area at every mip, averaged 2x2 and interpolated linearly.
 
-    coverage: (h, w) float32 in 0..1, sides powers of two. cutoff: between 0 and 1. Returns (h, w) float32 in 0..1.
+    coverage: (h, w) float32 in 0..1, sides powers of two. cutoff: between 0 and 1. gain: the area wanted over the one
+    that is covered. Returns (h, w) float32 in 0..1.
     O(h w).
     """
-    total = float(coverage.mean())
+    total = gain * float(coverage.mean())
     if not total:
         return coverage
     levels = [_Level.of(coverage)]

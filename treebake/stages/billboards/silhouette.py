@@ -1,0 +1,40 @@
+"""How much of the picture a foliage covers, as a viewer draws it: what the atlas's alpha is fitted to."""
+
+from contextlib import closing
+
+import numpy as np
+
+from treebake.gl.draw import Drawing, View
+from treebake.model import Doubles, Mesh
+
+_HEIGHTS = (256, 128)  # pixels across the bounding sphere: the middle of the range that a standard cloud is for
+_DIRECTIONS = tuple((elevation, azimuth) for elevation in (0.0, 25.0, 60.0) for azimuth in (20.0, 110.0))  # degrees
+
+
+def covered_area(mesh: Mesh, bounds: Mesh, *, exact: bool) -> float:
+    """Pixels covered by a mesh in parallel views, summed over six directions and two sizes.
+
+    bounds: the mesh whose bounding box frames the views. exact: cut leaves out as if they were modelled, free of what
+    mips do to them; that is for a source.
+    """
+    low, high = bounds.bounds.astype(np.float64)
+    center, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2
+    with closing(Drawing(mesh, exact_cutouts=exact)) as drawing:
+        pictures = [
+            drawing.picture(View(_parallel(center, radius, *direction), height, 0.0, 1.0))
+            for height in _HEIGHTS
+            for direction in _DIRECTIONS
+        ]
+    return float(sum(picture.color[..., 3].sum(dtype=np.float64) for picture in pictures))
+
+
+def _parallel(center: Doubles, radius: float, elevation: float, azimuth: float) -> Doubles:
+    """Parallel projection of a sphere onto the whole picture, from a direction in degrees: (4, 4) float64."""
+    up, around = np.radians([elevation, azimuth])
+    back = np.array([np.cos(up) * np.sin(around), np.sin(up), np.cos(up) * np.cos(around)])
+    right = np.array([np.cos(around), 0.0, -np.sin(around)])
+    turn = np.stack([right, np.cross(back, right), -back]) / radius
+    to_clip = np.eye(4)
+    to_clip[:3, :3] = turn
+    to_clip[:3, 3] = -turn @ center
+    return to_clip
