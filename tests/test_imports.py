@@ -31,13 +31,11 @@ MAY_IMPORT = {
 # Where each third-party package may be imported; numpy and scipy are everywhere.
 HOMES = {
     "OpenImageIO": {"images"},
-    "trimesh": {"meshes", "formats"},
     "plyfile": {"formats"},
     "DracoPy": {"formats"},
     "moderngl": {"gl"},
     "fast_simplification": {"stages"},
     "meshoptimizer": {"stages"},
-    "xatlas": {"stages"},
     "msgspec": {"settings", "asset", "verify", "grow"},
     "click": {"cli"},
     "rich": {"terminal"},

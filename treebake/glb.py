@@ -11,7 +11,7 @@ import numpy as np
 
 from treebake import __version__
 from treebake.files import atomic
-from treebake.images import encode_png
+from treebake.images import encode_texture
 from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Mesh, Texture
 
 _VERTICES, _INDICES = 34962, 34963  # bufferView targets
@@ -136,7 +136,7 @@ class _Writer:
         if key not in self.textures:
             if not self.textures:
                 self.append("samplers", _SAMPLER)
-            png = encode_png(texture.pixels if with_alpha else texture.pixels[..., :3])
+            png = encode_texture(texture, with_alpha=with_alpha)
             image = self.append("images", {"name": texture.name, "mimeType": "image/png", "bufferView": self.view(png)})
             self.textures[key] = self.append("textures", {"sampler": 0, "source": image})
         return self.textures[key]

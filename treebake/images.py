@@ -3,6 +3,7 @@
 In memory an image is a numpy array, row 0 on top: (h, w, 4) uint8 as stored in files, or float32 where it is light.
 """
 
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -10,7 +11,8 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813 - the name its documentation uses
 
 from treebake.errors import InputError, WorkspaceError
-from treebake.model import Bytes, Floats
+from treebake.files import atomic
+from treebake.model import Bytes, Floats, Texture
 
 
 def read_image(path: Path) -> Bytes:
@@ -27,7 +29,7 @@ def read_image(path: Path) -> Bytes:
     pixels = source.read_image(oiio.UINT8)
     source.close()
     if pixels is None:
-        raise InputError(f"{path} is a damaged image ({source.geterror()}); export it again")
+        raise InputError(f"{path} is a damaged image ({_line(source.geterror())}); export it again")
     return _rgba(pixels)
 
 
@@ -46,27 +48,36 @@ def decode_image(data: bytes, name: str) -> Bytes:
 
 
 def encode_png(pixels: Bytes) -> bytes:
-    """Encode (h, w, 3 or 4) uint8 as PNG; the same pixels give the same bytes."""
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "image.png"
-        write_png(path, pixels)
-        return path.read_bytes()
+    """Encode (h, w, 3 or 4) uint8 as PNG, alpha unassociated as glTF wants it; the same pixels give the same bytes.
 
-
-def write_png(path: Path, pixels: Bytes) -> None:
-    """Write (h, w, 3 or 4) uint8 as PNG, alpha unassociated as glTF wants it.
-
-    Raises WorkspaceError where the file cannot be written.
+    Raises WorkspaceError where there is no room for a temporary file.
     """
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, oiio.UINT8)
     spec.attribute("oiio:UnassociatedAlpha", 1)
     spec.attribute("png:compressionLevel", 6)
-    target = oiio.ImageOutput.create(str(path))
-    if target is None or not target.open(str(path), spec):
-        raise WorkspaceError(f"{path} cannot be written; check the folder and its permissions")
-    target.write_image(np.ascontiguousarray(pixels))
-    target.close()
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "image.png"
+        target = oiio.ImageOutput.create(str(path))
+        written = target.open(str(path), spec) and target.write_image(np.ascontiguousarray(pixels))
+        if not (target.close() and written):
+            raise WorkspaceError(f"{path} cannot be written ({_line(target.geterror())}); free some space")
+        return _pixels_only(path.read_bytes())
+
+
+@lru_cache(maxsize=4)
+def encode_texture(texture: Texture, *, with_alpha: bool) -> bytes:
+    """Encode a texture as PNG, with or without its alpha; kept, because an atlas goes into a GLB and beside it."""
+    return encode_png(texture.pixels if with_alpha else texture.pixels[..., :3])
+
+
+def write_png(path: Path, pixels: Bytes) -> None:
+    """Write (h, w, 3 or 4) uint8 as `encode_png` encodes it, whole or not at all.
+
+    Raises WorkspaceError where the file cannot be written.
+    """
+    with atomic(path) as file:
+        file.write(encode_png(pixels))
 
 
 def to_linear(srgb: Bytes) -> Floats:
@@ -99,6 +110,21 @@ def flip_error(reference: Floats, test: Floats) -> Floats:
 
 def _buffer(pixels: Floats) -> "oiio.ImageBuf":
     return oiio.ImageBuf(np.ascontiguousarray(pixels, np.float32))
+
+
+def _line(error: str) -> str:
+    return error.partition("\n")[0]
+
+
+def _pixels_only(png: bytes) -> bytes:
+    """Drop every chunk that PNG calls ancillary: a normal map must not claim to be sRGB."""
+    kept, start = [png[:8]], 8
+    while start < len(png):
+        end = start + 12 + int.from_bytes(png[start : start + 4], "big")
+        if png[start + 4 : start + 5].isupper():
+            kept.append(png[start:end])
+        start = end
+    return b"".join(kept)
 
 
 def _rgba(pixels: Bytes) -> Bytes:

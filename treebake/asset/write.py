@@ -9,7 +9,7 @@ from treebake.asset.manifest import FORMAT, Image, Level, Manifest, Source
 from treebake.errors import WorkspaceError
 from treebake.files import atomic
 from treebake.glb import write_glb
-from treebake.images import encode_png
+from treebake.images import encode_texture
 from treebake.model import BakedTree, Mesh, Texture
 
 
@@ -58,10 +58,10 @@ def _maps(mesh: Mesh) -> list[tuple[Texture, str]]:
 
 def _write_image(folder: Path, name: str, texture: Texture, space: str) -> Image:
     path = folder / "textures" / f"{name}_{texture.name}.png"
-    pixels = texture.pixels if texture.has_alpha else texture.pixels[..., :3]
+    height, width = texture.pixels.shape[:2]
     with atomic(path) as file:
-        file.write(encode_png(pixels))
-    return Image(path.relative_to(folder).as_posix(), (pixels.shape[1], pixels.shape[0]), space)
+        file.write(encode_texture(texture, with_alpha=texture.has_alpha))
+    return Image(path.relative_to(folder).as_posix(), (width, height), space)
 
 
 def _corners(tree: BakedTree) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
