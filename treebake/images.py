@@ -59,9 +59,10 @@ def encode_png(pixels: Bytes) -> bytes:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "image.png"
         target = oiio.ImageOutput.create(str(path))
-        written = target.open(str(path), spec) and target.write_image(np.ascontiguousarray(pixels))
-        if not (target.close() and written):
-            raise WorkspaceError(f"{path} cannot be written ({_line(target.geterror())}); free some space")
+        written = target.open(str(path), spec) and target.write_image(np.ascontiguousarray(pixels)) and target.close()
+        error = target.geterror()  # a full disk is told here only
+        if error or not written:
+            raise WorkspaceError(f"{path} cannot be written ({_line(error)}); free some space")
         return _pixels_only(path.read_bytes())
 
 
