@@ -77,9 +77,21 @@ def test_plain_alpha_loses_what_shaped_alpha_keeps() -> None:
     assert kept == pytest.approx([1, 1], rel=WITHIN)
 
 
-def test_leaves_thinner_than_three_texels_lose_less() -> None:
-    thin = leaves(2, count=300, radius=4.0)
-    assert passing(preserve_coverage(thin, 0.5), 2) > 4 * passing(thin, 2)
+def test_small_leaves_still_cover_far_away() -> None:
+    # 16 times smaller than the atlas, a leaf is a texel wide: plain alpha has nothing left.
+    small = leaves(8, count=400)
+    shaped = preserve_coverage(small, 0.5)
+    assert passing(small, 4) < 0.1 * small.mean()
+    assert passing(shaped, 3) == pytest.approx(small.mean(), rel=WITHIN)
+    assert passing(shaped, 4) == pytest.approx(small.mean(), rel=3 * WITHIN)
+
+
+@pytest.mark.parametrize("gain", [0.8, 1.25])
+def test_gain_asks_for_more_or_less_area(gain: float) -> None:
+    coverage = leaves(5, count=200, radius=6.0)
+    shaped = preserve_coverage(coverage, 0.5, gain)
+    for lod in (1, 2, 3):
+        assert passing(shaped, lod) == pytest.approx(gain * coverage.mean(), rel=1.5 * WITHIN), f"lod {lod}"
 
 
 @pytest.mark.parametrize(("width", "within"), [(1, 0.2), (2, 0.35), (3, 0.2), (8, 0.05), (16, 0.05), (32, 0.05)])
@@ -100,7 +112,7 @@ def test_area_is_kept_whatever_the_leaves(seed: int, radius: float, cutoff: floa
     assert shaped.min() >= 0
     assert shaped.max() <= 1
     for lod in (0, 0.5, 1):
-        assert passing(shaped, lod, cutoff) == pytest.approx(coverage.mean(), rel=1.5 * WITHIN), f"lod {lod}"
+        assert passing(shaped, lod, cutoff) == pytest.approx(coverage.mean(), rel=2 * WITHIN), f"lod {lod}"
 
 
 def test_the_base_level_keeps_its_shape() -> None:
