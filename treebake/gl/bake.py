@@ -17,8 +17,9 @@ _SRGB8_ALPHA8 = 0x8C43
 class FlatTriangles:
     """Triangles already placed in the atlas.
 
-    positions: (M, 3, 3) float32, x and y in texels (row 0 on top), depth in -1..1 with 1 in front. uvs: (M, 3, 2).
-    normals: (M, 3, 3) in the card's frame (right, up, towards the viewer), as seen from the triangle's front.
+    positions: (M, 3, 3) float32, x and y in texels (row 0 on top), depth between -1 and 1, greatest in front.
+    uvs: (M, 3, 2). normals: (M, 3, 3) in the card's frame (right, up, towards the viewer), as seen from the triangle's
+    front.
     material: (M,) int32.
     """
 
@@ -93,8 +94,7 @@ def _upload(gl: moderngl.Context, triangles: FlatTriangles, index: int, material
     size = (pixels.shape[1], pixels.shape[0])
     data = np.ascontiguousarray(pixels)
     texture = gl.texture(size, 4, data, internal_format=_SRGB8_ALPHA8)
-    texture.build_mipmaps()
-    texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
     return _Batch(array, texture, material)
 
 

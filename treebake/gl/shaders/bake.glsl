@@ -1,6 +1,6 @@
 // Draws flattened leaves straight into the atlas: position is in texels, row 0 first.
 #ifdef VERTEX_STAGE
-in vec3 in_position;  // atlas x and y in texels, depth in -1..1 (1 in front)
+in vec3 in_position;  // atlas x and y in texels, depth between -1 and 1 (greatest in front)
 in vec2 in_uv;
 in vec3 in_normal;  // the source's normal in the card's frame (right, up, towards the viewer)
 uniform vec4 window;  // the part of the atlas that this tile shows: x, y, width, height in texels
@@ -25,11 +25,13 @@ layout(location = 0) out vec4 out_color;
 layout(location = 1) out vec4 out_normal;
 
 void main() {
-    vec4 color = texture(color_map, uv) * base_color;
+    // Unfiltered, as if the leaf were modelled: mips thin what is cut out and mix in what lies under it.
+    vec4 color = textureLod(color_map, uv, 0.0) * base_color;
     if (color.a < alpha_cutoff) discard;
     // Rows run downwards in the atlas and upwards in GL's window, which turns every winding round.
     vec3 facing = gl_FrontFacing ? -normal : normal;
     out_color = vec4(color.rgb, 1.0);
-    out_normal = vec4(normalize(facing), 1.0);
+    float length_ = length(facing);  // 0 where the corners' normals cancel each other
+    out_normal = vec4(length_ > 0.0 ? facing / length_ : vec3(0.0, 0.0, 1.0), 1.0);
 }
 #endif
