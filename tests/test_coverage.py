@@ -89,7 +89,7 @@ def test_small_leaves_still_cover_far_away() -> None:
 @pytest.mark.parametrize("gain", [0.8, 1.25])
 def test_gain_asks_for_more_or_less_area(gain: float) -> None:
     coverage = leaves(5, count=200, radius=6.0)
-    shaped = preserve_coverage(coverage, 0.5, gain)
+    shaped = preserve_coverage(coverage, 0.5, lambda alpha: float((alpha >= 0.5).mean() / coverage.mean()) / gain)
     for lod in (1, 2, 3):
         assert passing(shaped, lod) == pytest.approx(gain * coverage.mean(), rel=1.5 * WITHIN), f"lod {lod}"
 

@@ -27,9 +27,6 @@ from treebake.stages.billboards.flatten import FlatLeaves, flatten, plane_frames
 from treebake.stages.billboards.packing import pack, texel_sizes
 from treebake.stages.billboards.silhouette import covered_area
 
-_CORRECTIONS = 2  # of the covered area; it is then right within about two per cent
-_GAINS = (0.8, 1.25)  # of the covered area: a fit beyond these would hide that something else is wrong
-
 
 @dataclass(frozen=True)
 class BillboardSettings:
@@ -58,8 +55,7 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
     color, normal = bake_atlas(triangles, tree.foliage.materials, size, settings.supersample)
     texels, normals = _color_texels(color), _normal_texels(normal, color[..., 3])
 
-    def cloud(gain: float) -> BillboardCloud:
-        alpha = preserve_coverage(color[..., 3], settings.cutoff, gain)
+    def cloud(alpha: Floats) -> BillboardCloud:
         material = Material(
             name="foliage",
             color_map=Texture("foliage_color", np.dstack([texels, np.rint(alpha * 255).astype(np.uint8)])),
@@ -72,12 +68,11 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
 
     # Leaves that hide each other once they lie in one plane, and cards seen at a grazing angle, cover too little.
     wanted = covered_area(tree.foliage, tree.foliage, exact=True)
-    gain, result = 1.0, cloud(1.0)
-    for _ in range(_CORRECTIONS):
-        drawn = covered_area(result.mesh, tree.foliage, exact=False)
-        gain = float(np.clip(gain * wanted / max(drawn, 1e-9), *_GAINS))
-        result = cloud(gain)
-    return result
+
+    def drawn(alpha: Floats) -> float:
+        return covered_area(cloud(alpha).mesh, tree.foliage, exact=False) / wanted if wanted else 1.0
+
+    return cloud(preserve_coverage(color[..., 3], settings.cutoff, drawn))
 
 
 def _check(settings: BillboardSettings) -> None:

@@ -10,6 +10,7 @@ taking its part of the push within the side where it must stay itself. Viewers i
 or shrinks what passes; so the area is measured as a viewer would see it, and the quotas are corrected by what it lacks.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,30 +20,36 @@ from treebake.model import Doubles, Floats
 _BLOCK = 4  # texels each way within which coverage is kept (remainders are dithered)
 _STEP = 0.03  # mean distance from the cutoff that a block's texels aim for; more leaves less room for other levels
 _MARGIN = 2 / 255  # distance from the cutoff that survives rounding to 8 bits, here and in every mip
-_ROUNDS = 4  # corrections of the quotas; the area is then right within a few per cent at every level
+_ROUNDS = 6  # corrections of the quotas; the area is then right within a few per cent at every level
+_DAMPING = 0.8  # of a correction: levels pull at each other, and full steps swing
+_FITS = (2, 4)  # rounds that look at a picture too: the quotas settle in between
+_GAINS = (0.8, 1.25)  # of the covered area: a fit beyond these would hide that something else is wrong
 _LAST_SIDE = 16  # texels on the shorter side of the last level that is shaped
 
 # Bayer's 4x4 ordered dither, thresholds in 0..1: spreads the rounding of blocks evenly over the atlas.
 _BAYER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) / 16
 
 
-def preserve_coverage(coverage: Floats, cutoff: float, gain: float = 1.0) -> Floats:
+def preserve_coverage(coverage: Floats, cutoff: float, drawn: Callable[[Floats], float] | None = None) -> Floats:
     """Alpha that passes `cutoff` over the same area at every mip, averaged 2x2 and interpolated linearly.
 
-    coverage: (h, w) float32 in 0..1, sides powers of two. cutoff: between 0 and 1. gain: the area wanted over the one
-    that is covered. Returns (h, w) float32 in 0..1.
-    O(h w).
+    coverage: (h, w) float32 in 0..1, sides powers of two. cutoff: between 0 and 1. drawn: tells what share of the
+    wanted picture a viewer fills with such an alpha; the area is then grown or shrunk until that is 1. Returns
+    (h, w) float32 in 0..1. O(h w).
     """
-    total = gain * float(coverage.mean())
+    total = float(coverage.mean())
     if not total:
         return coverage
     levels = [_Level.of(coverage)]
     while min(levels[-1].share.shape) > _LAST_SIDE:
         levels.append(_Level.of(_halve(levels[-1].share)))
-    quotas = np.ones(len(levels))
-    for _ in range(_ROUNDS):
-        measured = _areas(_shape(levels, quotas, cutoff), cutoff, len(levels))
-        quotas *= np.clip(total / np.maximum(measured, 1e-9), 0.5, 2)
+    quotas, gain = np.ones(len(levels)), 1.0
+    for turn in range(_ROUNDS):
+        alpha = _shape(levels, quotas, cutoff)
+        if drawn is not None and turn in _FITS:
+            gain = float(np.clip(gain / max(drawn(alpha), 1e-9), *_GAINS))
+        lacking = gain * total / np.maximum(_areas(alpha, cutoff, len(levels)), 1e-9)
+        quotas *= np.clip(lacking, 0.5, 2) ** _DAMPING
     return _shape(levels, quotas, cutoff)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from treebake.gl.draw import Drawing, View
 from treebake.model import Doubles, Mesh
 
-_HEIGHTS = (256, 128)  # pixels across the bounding sphere: the middle of the range that a standard cloud is for
+_HEIGHTS = (384, 192)  # pixels across the bounding sphere: the middle of the range that a standard cloud is for
 _DIRECTIONS = tuple((elevation, azimuth) for elevation in (0.0, 25.0, 60.0) for azimuth in (20.0, 110.0))  # degrees
 
 
