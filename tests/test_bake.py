@@ -200,8 +200,6 @@ def test_base_colour_tints_the_map_in_linear_light() -> None:
         (AlphaMode.MASK, 0.9, 200, 1.0, False),
         (AlphaMode.MASK, 0.5, 200, 0.5, False),  # the factor's alpha counts
         (AlphaMode.OPAQUE, 0.5, 0, 1.0, True),  # alpha is ignored
-        (AlphaMode.BLEND, 0.5, 200, 1.0, True),
-        (AlphaMode.BLEND, 0.5, 20, 1.0, False),
     ],
 )
 def test_alpha_is_cut_at_the_materials_cutoff(
@@ -210,6 +208,13 @@ def test_alpha_is_cut_at_the_materials_cutoff(
     material = flat_color((9, 9, 9, alpha), alpha_mode=mode, alpha_cutoff=cutoff, base_color=(1, 1, 1, tint))
     color = bake_atlas(box((0, 8), (0, 8)), [material], SIZE, 2)[0]
     assert np.allclose(color[:8, :8, 3], drawn)
+
+
+@pytest.mark.parametrize("alpha", [16, 100, 128, 200])
+def test_blended_leaves_cover_by_their_share(alpha: int) -> None:
+    material = flat_color((9, 9, 9, alpha), alpha_mode=AlphaMode.BLEND, alpha_cutoff=0.5)
+    color = bake_atlas(box((0, 8), (0, 8)), [material], SIZE, 4)[0]
+    assert np.allclose(color[:8, :8, 3], alpha / 255, atol=1 / 16)
 
 
 def test_a_picture_lies_upright_and_repeats() -> None:

@@ -80,6 +80,7 @@ class _Batch:
         shader["color_map"] = 0
         shader["window"] = window
         shader["base_color"] = self.material.base_color
+        shader["blend"] = self.material.alpha_mode is AlphaMode.BLEND
         shader["alpha_cutoff"] = 0.0 if self.material.alpha_mode is AlphaMode.OPAQUE else self.material.alpha_cutoff
         self.array.render(moderngl.TRIANGLES)
 

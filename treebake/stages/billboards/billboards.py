@@ -1,5 +1,6 @@
 """The billboard cloud as every glTF viewer draws it: flat cards with one alpha-masked atlas ([GSSK05])."""
 
+import logging
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,8 @@ from treebake.stages.billboards.flatten import FlatLeaves, flatten, plane_frames
 from treebake.stages.billboards.packing import pack, texel_sizes
 from treebake.stages.billboards.silhouette import covered_area
 
+LOG = logging.getLogger("treebake")
+
 
 @dataclass(frozen=True)
 class BillboardSettings:
@@ -46,6 +49,7 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
     Raises SettingsError where a setting is out of range and BudgetError where the cards exceed the atlas.
     """
     _check(settings)
+    _warn_of_one_sided_leaves(tree.foliage)
     flat = flatten(tree.foliage, tree.leaves, clusters)
     density_limit = settings.leaf_texels / _leaf_size(tree.leaves)
     margin = settings.padding / min(density_limit, _density_guess(tree.leaves, settings.atlas))
@@ -87,6 +91,17 @@ def _check(settings: BillboardSettings) -> None:
     ):
         if not valid:
             raise SettingsError(f"[textures] {name} is {getattr(settings, name)}; it must be {hint}")
+
+
+def _warn_of_one_sided_leaves(foliage: Mesh) -> None:
+    for index in np.unique(foliage.face_material):
+        material = foliage.materials[index]
+        if not material.double_sided:
+            LOG.warning(
+                "the leaves of material %s are single-sided and a card shows both sides: the crown may look denser; "
+                "set doubleSided in the source if its leaves are meant to be seen from behind",
+                material.name,
+            )
 
 
 def _leaf_size(leaves: Leaves) -> float:

@@ -10,12 +10,15 @@ taking its part of the push within the side where it must stay itself. Viewers i
 or shrinks what passes; so the area is measured as a viewer would see it, and the quotas are corrected by what it lacks.
 """
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from treebake.model import Doubles, Floats
+
+LOG = logging.getLogger("treebake")
 
 _BLOCK = 4  # texels each way within which coverage is kept (remainders are dithered)
 _STEP = 0.03  # mean distance from the cutoff that a block's texels aim for; more leaves less room for other levels
@@ -50,6 +53,12 @@ def preserve_coverage(coverage: Floats, cutoff: float, drawn: Callable[[Floats],
             gain = float(np.clip(gain / max(drawn(alpha), 1e-9), *_GAINS))
         lacking = gain * total / np.maximum(_areas(alpha, cutoff, len(levels)), 1e-9)
         quotas *= np.clip(lacking, 0.5, 2) ** _DAMPING
+    if gain in _GAINS:
+        LOG.warning(
+            "the cards cannot be fitted to the area that the foliage covers (by more than %.2f times); look at the "
+            "report, and if leaves are single-sided make them doubleSided in the source",
+            gain,
+        )
     return _shape(levels, quotas, cutoff)
 
 
