@@ -1,6 +1,5 @@
 """Leaves made by hand: one textured quad each, all arrays read-only so that a stage that writes into them fails."""
 
-from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -52,20 +51,20 @@ def leaf_tree(
     *,
     size: float = 0.2,
     material: Material = GREEN,
-    shading: Sequence[float] | None = None,
+    shading: object | None = None,
     uvs: object = ((0, 1), (1, 1), (1, 0), (0, 0)),
     axes: object | None = None,
 ) -> Tree:
     """A tree without a trunk: square leaves of side `size`, upright in their planes.
 
-    shading: the vertices' normal where it is not the leaf's. axes: see `leaves_at`.
+    shading: the vertices' normal, one or one each, where it is not the leaf's. axes: see `leaves_at`.
     """
     leaves = leaves_at(centers, normals, radius=size / np.sqrt(2), axes=axes)
     frames = plane_frames(leaves.normals)
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * size / 2
     positions = leaves.centers[:, None] + np.einsum("ka,nai->nki", corners, frames[:, :2])
     quads = np.arange(leaves.count)[:, None, None] * 4 + np.array([[0, 1, 2], [0, 2, 3]])
-    shaded = leaves.normals if shading is None else np.broadcast_to(shading, leaves.normals.shape)
+    shaded = leaves.normals if shading is None else np.broadcast_to(np.array(shading), leaves.normals.shape)
     mesh = Mesh(
         positions=positions.reshape(-1, 3).astype(np.float32),
         normals=shaded.repeat(4, axis=0).astype(np.float32),
