@@ -16,6 +16,7 @@ import pytest
 
 from treebake import cli, pipeline
 from treebake.glb import write_glb
+from treebake.images import encode_png
 from treebake.model import Material, Mesh
 
 COMMANDS = {"grow", "cluster", "textures", "bake", "verify", "inspect"}
@@ -314,6 +315,25 @@ def test_a_real_ctrl_c_leaves_no_half_written_file(tmp_path: Path) -> None:
     assert written <= {"source.npz", "split.npz", "twigs.npz", "cluster.npz", "billboards.npz", "trunk.npz"}
 
 
+@pytest.mark.parametrize("verbose", [False, True])
+def test_an_unforeseen_error_is_one_line_and_exit_70(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch, verbose: bool
+) -> None:
+    def cluster(*_: object) -> None:
+        raise ZeroDivisionError("by\nnought")
+
+    monkeypatch.setattr(pipeline, "cluster", cluster)
+    result = treebake("cluster", tree, "-o", tmp_path / "work", "-v" if verbose else "-q")
+    assert result.code == 70
+    assert result.lines[-1].startswith("treebake: internal error: ZeroDivisionError: by nought; run again with -v")
+    assert ("Traceback" in result.err) == verbose
+    assert verbose or len(result.lines) == 1
+
+
+def test_no_command_shows_the_help(treebake: Callable[..., Outcome]) -> None:
+    assert "Commands:" in treebake().out
+
+
 def test_unknown_command_and_unknown_setting_exit_2(
     tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
 ) -> None:
@@ -350,6 +370,13 @@ def test_grow_is_seeded(tmp_path: Path, treebake: Callable[..., Outcome]) -> Non
         assert json.loads(result.out)["triangles"] > 20
     a, b, c = ((tmp_path / f"{name}.glb").read_bytes() for name in "abc")
     assert a == b != c
+
+
+def test_grow_writes_glb_only(tmp_path: Path, treebake: Callable[..., Outcome]) -> None:
+    result = treebake("grow", "maple", "--leaves", 20, "-o", tmp_path / "tree.txt")
+    assert (result.code, len(result.lines)) == (2, 1)
+    assert str(tmp_path / "tree.glb") in result.err
+    assert not (tmp_path / "tree.txt").exists()
 
 
 SMALL = ("--set", "verify.heights=[32]", "--set", "verify.azimuths=1", "--set", "verify.elevations=[0]")
@@ -389,8 +416,41 @@ def test_verify_judges_a_third_party_file(tmp_path: Path, tree: Path, treebake: 
     assert facts["heights"][0]["flip"] == 0
 
 
-def test_verify_without_anything_to_judge_is_a_usage_error(tree: Path, treebake: Callable[..., Outcome]) -> None:
-    assert treebake("verify", "--source", tree).code == 2
+def test_load_settings_are_for_the_source_alone(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    (tmp_path / "bark.png").write_bytes(encode_png(np.full((1, 1, 3), 200, np.uint8)))
+    positions = np.array([[0, 3, 0], [1, 3, 0], [0, 3, 1]], np.float32)
+    theirs = mesh(positions, np.array([[0, 1, 2]], np.int32), Material("theirs", (0.5, 0.5, 0.5, 1.0)))
+    write_glb(tmp_path / "theirs.glb", [("theirs", theirs)])
+    seen = []
+
+    def verify(_source: Mesh, candidates: dict[int, Mesh], *_: object, **__: object) -> None:
+        seen.extend(candidates.values())
+        raise KeyboardInterrupt
+
+    load = ("--up", "z", "--set", "load.textures.bark=bark.png")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline, "verify", verify)
+        result = treebake("verify", "--source", tree, "--candidate", tmp_path / "theirs.glb", *SMALL, *load)
+    assert result.code == 130, result.err
+    np.testing.assert_allclose(seen[0].positions, positions)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        ((), "name an ASSET folder"),
+        (("asset", "--candidate", "file.glb"), "either asset or --candidate file.glb"),
+        (("asset", "--threshold", "flip=abc"), "flip=abc: its bound is no number"),
+        (("asset", "--thresholds", "flip=1"), "--threshold"),
+    ],
+)
+def test_verify_called_wrongly_is_one_line(
+    tree: Path, treebake: Callable[..., Outcome], arguments: tuple[str, ...], says: str
+) -> None:
+    result = treebake("verify", *arguments, "--source", tree)
+    assert (result.code, len(result.lines)) == (2, 1)
+    assert result.lines[0].startswith("treebake: error: ")
+    assert says in result.lines[0]
 
 
 def test_verify_of_an_unpublished_work_folder_is_one_line(

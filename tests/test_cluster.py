@@ -116,6 +116,7 @@ def test_one_twig_costs_nothing_on_a_plane_turned_about_it(turn: float) -> None:
         ("compactness", -0.1),
         ("compactness", float("nan")),
         ("iterations", 0),
+        ("seed", -1),
     ],
 )
 def test_setting_out_of_range_is_named(name: str, value: float) -> None:

@@ -3,7 +3,9 @@
 Heavy modules are imported inside the commands, so that `treebake --help` answers at once.
 """
 
+import logging
 import sys
+import traceback
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
@@ -97,6 +99,15 @@ def _configured(command: Command) -> Command:
     return _talks(run)
 
 
+def _bounds(_ctx: click.Context, _param: click.Parameter, thresholds: tuple[str, ...]) -> tuple[str, ...]:
+    for threshold in thresholds:
+        try:
+            float(threshold.partition("=")[2])
+        except ValueError:
+            raise click.BadParameter(f"{threshold}: its bound is no number; write e.g. flip_ratio.512=1.2") from None
+    return thresholds
+
+
 _work = click.option("-o", "work", required=True, type=_FILE, metavar="WORK", help="Work folder of this tree.")
 _force = click.option("--force", is_flag=True, help="Run every stage again, even where nothing has changed.")
 _up = _setting("--up", "load.up")
@@ -134,6 +145,8 @@ def grow(terminal: Terminal, species: str, output: Path | None, seed: int, leave
     from treebake.summary import of_mesh
 
     path = output or Path(f"{species}.glb")
+    if path.suffix.lower() != ".glb":
+        raise click.UsageError(f"a tree is written as GLB; name it {path.with_suffix('.glb')} instead of {path}")
     with terminal.announce("grow"):
         mesh = grow_tree(species, seed=seed, leaves=leaves)
         write_glb(path, [(species, mesh)])
@@ -213,6 +226,7 @@ def bake(terminal: Terminal, settings: "Settings", tree: Path, out: Path, force:
     "thresholds",
     multiple=True,
     metavar="FIGURE[.HEIGHT]=BOUND",
+    callback=_bounds,
     help="Exit 1 where FIGURE (or FIGURE_max) is above BOUND or FIGURE_min below it; e.g. flip_ratio.512=1.2.",
 )
 @click.option("--quick", is_flag=True, help="A third of the views, at 256 pixels only: for the edit loop.")
@@ -236,6 +250,8 @@ def verify(
     judged = candidate or asset
     if judged is None:
         raise click.UsageError("name an ASSET folder, or a file with --candidate")
+    if asset and candidate:
+        raise click.UsageError(f"judge either {asset} or --candidate {candidate}; leave one of them out")
     with terminal.announce("verify") as progress:
         found, folder = verify_asset(judged, source, report, settings, progress)
     terminal.show({"report": str(folder), **as_dict(found)}, text=f"{format_table(found)}\n\nreport: {folder}")
@@ -261,15 +277,25 @@ def inspect(terminal: Terminal, settings: "Settings", file: Path) -> None:
 
 
 def main() -> None:
-    """Run the command line; every error on purpose is one line and exit 2."""
+    """Run the command line; every error on purpose is one line and exit 2, any other one line and exit 70."""
     try:
-        sys.exit(cli(standalone_mode=False) or 0)
+        sys.exit(cli(sys.argv[1:] or ["--help"], standalone_mode=False) or 0)
     except click.ClickException as error:
-        error.show()
+        say(f"treebake: error: {_one_line(error.format_message())}")
         sys.exit(2)
     except TreebakeError as error:
-        say(f"treebake: error: {' '.join(str(error).split())}")
+        say(f"treebake: error: {_one_line(error)}")
         sys.exit(2)
     except (KeyboardInterrupt, click.Abort):
         say("treebake: interrupted; nothing is half-written, and the same command goes on where it stopped")
         sys.exit(130)
+    except Exception as error:
+        if logging.getLogger("treebake").isEnabledFor(logging.DEBUG):
+            traceback.print_exc()
+        text = _one_line(f"{type(error).__name__}: {error}")
+        say(f"treebake: internal error: {text}; run again with -v for the traceback and report it")
+        sys.exit(70)
+
+
+def _one_line(text: object) -> str:
+    return " ".join(str(text).split())

@@ -98,7 +98,8 @@ def verify_asset(
 ) -> tuple[Report, Path]:
     """Judge a published asset (its folder) or anyone's mesh file against its source, and write the report.
 
-    At each height the level is drawn that the manifest names for it. The report goes into `report`, or else beside
+    At each height the level is drawn that the manifest names for it. settings.load is about the source; a mesh file is
+    read as it is. The report goes into `report`, or else beside
     what it judges. Returns it with its folder. Raises InputError, AssetError, GraphicsError, SettingsError and
     WorkspaceError.
     """
@@ -110,7 +111,7 @@ def verify_asset(
         meshes = {height: levels[asset.level_for(height)] for height in heights}
         folder = report or candidate / "report"
     else:
-        meshes = dict.fromkeys(heights, read_mesh(candidate, settings.load))
+        meshes = dict.fromkeys(heights, read_mesh(candidate))
         folder = report or candidate.parent / f"{candidate.stem}_report"
     found = verify(mesh, meshes, settings.verify, folder / "cache", trunk=tree.trunk, progress=progress)
     write_report(found, folder)

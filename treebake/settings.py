@@ -6,6 +6,7 @@ meaning, unit and range, and is what `--help` and `configs/default.toml` show.
 
 import difflib
 import inspect
+import math
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -58,7 +59,7 @@ def load_settings(paths: Sequence[Path] = (), overrides: Tables | None = None) -
     trunk.triangles sets twigs.trunk_triangles too, which is the same budget, unless that is set itself.
 
     Raises SettingsError, naming the file and the key, for a file that cannot be read, an unknown key (with the nearest
-    known one) and a value of the wrong type.
+    known one) and a value of the wrong type or not finite.
     """
     merged: dict[str, Any] = {}
     for origin, tables in [*((str(path), _read(path)) for path in paths), ("command line", overrides or {})]:
@@ -133,11 +134,21 @@ def _check(origin: str, tables: Tables) -> None:
         for name, value in ((f"{table}.{key}", value) for key, value in content.items()):
             if name not in known:
                 raise SettingsError(f"{origin}: there is no setting {name}{_nearest(name, known)}")
+            if not _finite(value):
+                raise SettingsError(f"{origin}: {name} = {value!r}: give a finite number; it means: {known[name].help}")
             try:
                 msgspec.convert(value, known[name].type)
             except msgspec.ValidationError as error:
                 reason = str(error).replace("`", "")
                 raise SettingsError(f"{origin}: {name} = {value!r}: {reason}; it means: {known[name].help}") from error
+
+
+def _finite(value: Any) -> bool:
+    if isinstance(value, dict):
+        return all(map(_finite, value.values()))
+    if isinstance(value, list):
+        return all(map(_finite, value))
+    return not isinstance(value, float) or math.isfinite(value)
 
 
 def _merge(under: Tables, over: Tables) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class ClusterSettings:
     angle_weight: float = 2.0  # alpha over the squared leaf radius, > 0; 0.25 weighs distance and turn as displacement
     compactness: float = 0.005  # weight of the squared distance to the cluster's centre, >= 0; 0 is the paper's
     iterations: int = 60  # at most, 1 or more; stops earlier once fewer than one leaf in 2,000 changes its plane
-    seed: int = 0  # of the random choice of the first planes
+    seed: int = 0  # of the random choice of the first planes, 0 or more
 
 
 def cluster(leaves: Leaves, settings: ClusterSettings) -> Clusters:
@@ -106,6 +106,7 @@ def _check(settings: ClusterSettings) -> None:
         ("angle_weight", settings.angle_weight > 0, "above 0"),
         ("compactness", settings.compactness >= 0, "0 or more"),
         ("iterations", settings.iterations >= 1, "1 or more"),
+        ("seed", settings.seed >= 0, "0 or more"),
     ):
         if not valid:
             raise SettingsError(f"[cluster] {name} is {getattr(settings, name)}; it must be {hint}")
