@@ -526,6 +526,13 @@ def cycle():
     return Gltf(nodes=[{"children": [1]}, {"children": [0]}], scenes=[{"nodes": [0]}]).mesh().bytes()
 
 
+def endless():
+    gltf = Gltf().mesh()
+    del gltf.json["accessors"][0]["bufferView"]
+    gltf.json["accessors"][0]["count"] = 10**12
+    return gltf.bytes()
+
+
 BAD = {
     "empty.glb": b"",
     "text.glb": b"this is not a mesh, whatever its name says",
@@ -537,6 +544,7 @@ BAD = {
     "infinite.glb": Gltf().mesh(TRIANGLE + np.float32(np.inf)).bytes(),
     "beyond.glb": Gltf().mesh(indices=[0, 1, 3]).bytes(),
     "cycle.glb": cycle(),
+    "endless.glb": endless(),
     "list.gltf": b"[1, 2]",
     "other.gltf": b'{"hello": "world"}',
     "binary.gltf": bytes(range(256)),

@@ -51,9 +51,13 @@ class GltfFile:
         """The values of an accessor: (count, width) in the stored type, or float32 where it is normalised."""
         spec = self.json["accessors"][index]
         count, dtype, width = spec["count"], np.dtype(_DTYPES[spec["componentType"]]), _WIDTHS[spec["type"]]
-        values: Array = np.zeros((count, width), dtype)
         if "bufferView" in spec:
             values = self._elements(spec["bufferView"], spec.get("byteOffset", 0), count, dtype, width)
+        elif count > sum(len(self._buffer(i)) for i in range(len(self.json.get("buffers", [])))):
+            # Nothing stands for its zeros in the file, so only this keeps a damaged count from filling the memory.
+            raise MeshError(f"{self.path} is damaged: accessor {index} has {count} elements, no data; export it again")
+        else:
+            values = np.zeros((count, width), dtype)
         if "sparse" in spec:
             sparse = spec["sparse"]
             where, what = sparse["indices"], sparse["values"]
