@@ -303,3 +303,8 @@ def test_the_table_shows_every_height_with_its_scale() -> None:
 def test_meshes_without_textures_or_nodes_in_common_can_be_compared() -> None:
     other = joined(TREE, TREE)
     assert verify(TREE, other, FEW).levels[0].candidate.coverage == pytest.approx(1)
+
+
+def test_a_threshold_at_a_height_that_is_never_measured_is_refused() -> None:
+    with pytest.raises(SettingsError, match="500 px is not among"):
+        verify(TREE, TREE, replace(FEW, thresholds={"flip_ratio": {"500": 1.0}}))

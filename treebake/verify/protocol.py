@@ -1,5 +1,6 @@
 """The protocol: which views are drawn, what is measured in them, and how the figures are summed up."""
 
+import logging
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -17,6 +18,8 @@ from treebake.verify.figures import Figures, summed_up
 from treebake.verify.metrics import SKY, Scores, over, score, score_all
 from treebake.verify.reference import SCALE, reference
 from treebake.verify.thresholds import failures, parse
+
+LOG = logging.getLogger("treebake")
 
 _QUICK_HEIGHT = 256
 
@@ -116,11 +119,19 @@ def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Came
             raise SettingsError(f"verify.{what}; at least one")
     if not source.triangles:
         raise MeshError("the source has no triangles, so nothing can be compared with it; give the tree that was baked")
-    parse(settings.thresholds)  # a slip in them should not take minutes to show
     directions = cameras(source, settings.elevations, settings.azimuths)
-    if settings.quick:
-        return [_QUICK_HEIGHT], directions[SCALE]
-    return sorted(set(settings.heights), reverse=True), directions
+    heights = [_QUICK_HEIGHT] if settings.quick else sorted(set(settings.heights), reverse=True)
+    # A slip in the thresholds should not take minutes to show, nor pass as success.
+    asked = {height for _, _, height, _ in parse(settings.thresholds) if height is not None}
+    if unknown := asked - set(settings.heights):
+        raise SettingsError(f"verify.thresholds: {min(unknown)} px is not among verify.heights; measure it or drop it")
+    if unseen := asked - set(heights):
+        LOG.warning("thresholds at %s px are not judged: a quick run measures %d px only", _list(unseen), heights[0])
+    return heights, directions[SCALE] if settings.quick else directions
+
+
+def _list(heights: set[int]) -> str:
+    return ", ".join(map(str, sorted(heights, reverse=True)))
 
 
 @dataclass
