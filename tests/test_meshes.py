@@ -421,6 +421,45 @@ def test_a_missing_material_library_is_one_warning(tmp_path, caplog):
     assert [record.levelname for record in caplog.records] == ["WARNING"]
 
 
+def test_obj_keywords_may_end_in_tabs(tmp_path):
+    text = "mtllib\ttree.mtl\nusemtl\tleaf\nv\t0 0 0\nv\t1\t0 0\nv \t0 1 0\nf\t1\t2 3\n"
+    mesh = read_obj(tmp_path, text, "newmtl\tleaf\nKd\t0.1 0.2\t0.3\n")
+    np.testing.assert_allclose(corners(mesh)[0], TRIANGLE)
+    assert mesh.materials[0].base_color == (0.1, 0.2, 0.3, 1)
+
+
+@pytest.mark.parametrize("names", [("a.mtl", "b.mtl"), ("a b.mtl",)])
+def test_mtllib_names_several_files_or_one_with_spaces(tmp_path, caplog, names):
+    for name, material in zip(names, ("bark", "leaf"), strict=False):
+        (tmp_path / name).write_text(f"newmtl {material}\nKd 0.1 0.2 0.3\n")
+    used = ("bark", "leaf")[: len(names)]
+    faces = "".join(f"usemtl {material}\nf 1 2 3\n" for material in used)
+    mesh = read_obj(tmp_path, f"mtllib {' '.join(names)}\n" + QUAD + faces)
+    assert [material.base_color for material in mesh.materials] == [(0.1, 0.2, 0.3, 1)] * len(used)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("file", ["C:\\art\\leaf.png", "/art/leaf.png", "../leaf.png"])
+@pytest.mark.parametrize("key", ["map_Kd", "map_d"])
+def test_an_assigned_texture_wins_over_one_outside_the_folder(tmp_path, key, file):
+    (tmp_path / "leaf.png").write_bytes(encode_png(HOLED))
+    text, mtl = "mtllib tree.mtl\nusemtl leaf\n" + QUAD + "f 1 2 3\n", f"newmtl leaf\n{key} {file}\n"
+    (leaf,) = read_obj(tmp_path, text, mtl, LoadSettings(textures={"leaf": "leaf.png"})).materials
+    assert (leaf.color_map.name, leaf.alpha_mode) == ("leaf", AlphaMode.MASK)
+    with pytest.raises(InputError, match=r"load\.textures"):
+        read_obj(tmp_path, text, mtl)
+
+
+def test_an_assigned_gltf_texture_wins_over_one_outside_the_folder(tmp_path):
+    (tmp_path / "leaf.png").write_bytes(encode_png(HOLED))
+    leaf = {"name": "leaf", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}
+    gltf = Gltf(materials=[leaf], textures=[{"source": 0}], images=[{"uri": "/art/leaf.png"}]).mesh(material=0)
+    (leaf,) = gltf.read(tmp_path, LoadSettings(textures={"leaf": "leaf.png"})).materials
+    assert leaf.color_map.name == "leaf"
+    with pytest.raises(InputError, match=r"load\.textures"):
+        gltf.read(tmp_path)
+
+
 def test_textures_are_assigned_by_the_settings(tmp_path, caplog):
     (tmp_path / "leaf.png").write_bytes(encode_png(HOLED))
     text = QUAD + "usemtl leaf\nf 1 2 3\nusemtl bark\nf 1 3 4\n"
@@ -510,6 +549,12 @@ def test_zero_and_nan_normals_are_replaced(tmp_path):
     np.testing.assert_allclose(mesh.normals, UP)
 
 
+@pytest.mark.parametrize(("distance", "warned"), [(0, False), (400, False), (5e5, True)])
+def test_a_tree_far_from_the_origin_is_a_warning(tmp_path, caplog, distance, warned):
+    read_obj(tmp_path, "".join(f"v {x + distance} {y} 0\n" for x, y in ((0, 0), (8, 0), (0, 8))) + "f 1 2 3\n")
+    assert ["far from the origin" in record.message for record in caplog.records] == [True] * warned
+
+
 def test_zero_area_triangles_are_dropped(tmp_path, caplog):
     caplog.set_level(logging.INFO, "treebake")
     mesh = read_obj(tmp_path, QUAD + "v 2 0 0\nf 1 2 3\nf 1 1 2\nf 1 2 5\n")
@@ -552,6 +597,8 @@ BAD = {
     "points.obj": QUAD.encode(),
     "zero.obj": QUAD.encode() + b"f 0 1 2\n",
     "beyond.obj": QUAD.encode() + b"f 1 2 9\n",
+    "beyond_uv.obj": QUAD.encode() + b"vt 0 0\nf 1/1 2/2 3/1\n",
+    "beyond_normal.obj": QUAD.encode() + b"vn 0 0 1\nf 1//1 2//1 3//2\n",
     "before.obj": QUAD.encode() + b"f -9 1 2\n",
     "words.obj": b"v a b c\nf 1 1 1\n",
     "nan.obj": b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n",
@@ -559,6 +606,10 @@ BAD = {
     "empty.ply": b"",
     "text.ply": b"not a mesh",
     "points.ply": f"ply\nformat ascii 1.0\nelement vertex 1\n{POINTS}\nend_header\n0 0 0\n".encode(),
+    "faceless.ply": (
+        f"ply\nformat ascii 1.0\nelement vertex 1\n{POINTS}\n"
+        "element face 0\nproperty list uchar int vertex_index\nend_header\n0 0 0\n"
+    ).encode(),
     "cut.ply": f"ply\nformat ascii 1.0\nelement vertex 9\n{POINTS}\nend_header\n0 0 0\n".encode(),
 }
 

@@ -1,7 +1,7 @@
 """Mesh files in: GLB, glTF, OBJ and PLY become one checked `Mesh`."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -18,9 +18,16 @@ from treebake.model import AlphaMode, Floats, Ints, Material, Mesh, Texture
 
 LOG = logging.getLogger("treebake")
 
-_READERS = {".glb": read_gltf, ".gltf": read_gltf, ".obj": read_obj, ".ply": read_ply}
+_READERS: dict[str, Callable[[Path, Collection[str]], list[Part]]] = {
+    ".glb": read_gltf,
+    ".gltf": read_gltf,
+    ".obj": read_obj,
+    ".ply": lambda path, _: read_ply(path),
+}
 _CREASE = 60.0  # degrees; sharper edges stay hard where normals have to be computed
 _UP = np.array((0, 1, 0), np.float32)
+_EPSILON = 2.0**-23  # relative step of float32
+_LOSS = 1e-4  # of the bounding radius: the step between positions above which the shape suffers
 _SLIVER = 1e-7  # of the longest edge squared: twice the area below which a triangle counts as zero-area
 
 
@@ -50,7 +57,7 @@ def read_mesh(path: Path, settings: LoadSettings = LoadSettings()) -> Mesh:
     if reader is None:
         raise InputError(f"{path} has no known mesh suffix; give a {', '.join(_READERS)} file")
     try:
-        parts = reader(path)
+        parts = reader(path, settings.textures)
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist; check the path") from error
     except OSError as error:
@@ -58,6 +65,7 @@ def read_mesh(path: Path, settings: LoadSettings = LoadSettings()) -> Mesh:
     mesh = _drop_slivers(path, _join(path, parts, settings.up))
     if not mesh.triangles:
         raise MeshError(f"{path} holds no triangles; export it with its faces")
+    _warn_if_far(path, mesh)
     return _complete_normals(_assign_textures(path, mesh, settings.textures))
 
 
@@ -116,6 +124,16 @@ def _drop_slivers(path: Path, mesh: Mesh) -> Mesh:
         return mesh
     LOG.info("%s: left out %d zero-area triangles", path, np.count_nonzero(~kept))
     return mesh.select(kept)
+
+
+def _warn_if_far(path: Path, mesh: Mesh) -> None:
+    low, high = mesh.bounds.astype(np.float64)
+    if np.abs(mesh.bounds).max() * _EPSILON > _LOSS * np.linalg.norm(high - low) / 2:
+        LOG.warning(
+            "%s: its positions are far from the origin, where float32 loses detail; move it to the origin and export "
+            "it again",
+            path,
+        )
 
 
 def _complete_normals(mesh: Mesh) -> Mesh:

@@ -4,7 +4,7 @@ An own reader because trimesh 5.2 drops texture transforms and texcoord sets, an
 """
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -32,11 +32,12 @@ _REMEDIES = {
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 
 
-def read_gltf(path: Path) -> list[Part]:
+def read_gltf(path: Path, assigned: Collection[str] = ()) -> list[Part]:
     """Read the triangles of the default scene of a .glb or .gltf file, node transforms applied.
 
     Draco, quantised and sparse accessors, strips, fans and GPU instances are resolved; texture transforms are baked
     into the uvs; faces stay counter-clockwise under mirroring nodes. Vertex colours, skins and morphs are not read.
+    assigned: names of materials whose colour map comes from elsewhere, and is not looked for.
 
     Raises MeshError for a damaged file, InputError for a missing buffer or one outside the folder, UnsupportedError
     for a required extension that is not read.
@@ -45,7 +46,7 @@ def read_gltf(path: Path) -> list[Part]:
         file = GltfFile(path)
         _check_extensions(file)
         _check_colors(file)
-        material = cache(lambda index: _material(file, index))
+        material = cache(lambda index: _material(file, index, assigned))
         return [
             part
             for node, world in _nodes(file)
@@ -217,7 +218,7 @@ def _map_uvs(uvs: Array, uv_map: _UvMap) -> Floats:
     return np.asarray(uvs @ rows[:, :2].T + rows[:, 2], np.float32)
 
 
-def _material(file: GltfFile, index: int) -> tuple[Material, _UvMap]:
+def _material(file: GltfFile, index: int, assigned: Collection[str]) -> tuple[Material, _UvMap]:
     spec = file.json["materials"][index]
     name = spec.get("name") or f"material {index}"
     pbr = spec.get("pbrMetallicRoughness", {})
@@ -233,7 +234,7 @@ def _material(file: GltfFile, index: int) -> tuple[Material, _UvMap]:
     return Material(
         name=name,
         base_color=(red, green, blue, alpha),
-        color_map=file.texture(color_map["index"]) if color_map else None,
+        color_map=file.texture(color_map["index"]) if color_map and name not in assigned else None,
         normal_map=file.texture(normal_map["index"]) if normal_map else None,
         alpha_mode=AlphaMode(spec.get("alphaMode", "OPAQUE")),
         alpha_cutoff=float(spec.get("alphaCutoff", 0.5)),

@@ -4,6 +4,7 @@ An own reader because trimesh 5.2 resolves relative indices from the end of the 
 and normals where only some faces have them, and does not read map_d.
 """
 
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,18 +17,18 @@ from treebake.geometry import triangulate
 from treebake.model import AlphaMode, Floats, Material, Texture
 
 
-def read_obj(path: Path) -> list[Part]:
+def read_obj(path: Path, assigned: Collection[str] = ()) -> list[Part]:
     """Read the faces of an OBJ file, one part per object or group and material.
 
     Polygons of any size are triangulated, indices may be relative, v is flipped into glTF's. Materials are
     double-sided, since the format does not say; one with a cut-out texture is MASK. Smoothing groups, lines and curves
-    are not read.
+    are not read. assigned: names of materials whose textures come from elsewhere, and are not looked for.
 
     Raises MeshError where the file is damaged, InputError for a file outside the folder.
     """
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").replace("\\\n", " ").splitlines()
-        return _parts(path, _scan(lines))
+        return _parts(path, _scan(lines), assigned)
     except (ValueError, IndexError) as error:
         raise MeshError(f"{path} is damaged or no OBJ file ({error}); export it again") from error
 
@@ -51,7 +52,7 @@ def _scan(lines: list[str]) -> _Scan:
     polygons: list[list[int]] | None = None
     known: dict[str, int] = {}  # corners by their text, where that holds no relative index
     for line in lines:
-        key, _, rest = line.strip().partition(" ")
+        key, rest = _statement(line)
         if key == "v":
             scan.positions.append(rest.split()[:3])
         elif key == "vt":
@@ -71,12 +72,18 @@ def _scan(lines: list[str]) -> _Scan:
                 polygon.append(corner)
             polygons.append(polygon)
         elif key in ("o", "g"):
-            node, polygons = rest.strip(), None
+            node, polygons = rest, None
         elif key == "usemtl":
-            material, polygons = rest.strip(), None
+            material, polygons = rest, None
         elif key == "mtllib":
-            scan.libraries.append(rest.strip())
+            scan.libraries.append(rest)
     return scan
+
+
+def _statement(line: str) -> tuple[str, str]:
+    """The keyword of a line and what follows it, after spaces or tabs."""
+    words = line.split(None, 1)
+    return words[0] if words else "", words[1].strip() if len(words) > 1 else ""
 
 
 def _corner(scan: _Scan, token: str) -> int:
@@ -91,17 +98,17 @@ def _corner(scan: _Scan, token: str) -> int:
     return scan.corners.setdefault((row[0], row[1], row[2]), len(scan.corners))
 
 
-def _parts(path: Path, scan: _Scan) -> list[Part]:
+def _parts(path: Path, scan: _Scan, assigned: Collection[str]) -> list[Part]:
     corners = np.array(list(scan.corners), np.int64).reshape(-1, 3)
-    if len(corners) and corners[:, 0].max() >= len(scan.positions):
-        raise MeshError(
-            f"{path} has a face on vertex {corners[:, 0].max() + 1} of {len(scan.positions)}; export it again"
-        )
+    kinds = (("vertex", scan.positions), ("texture coordinate", scan.uvs), ("normal", scan.normals))
+    for (kind, rows), greatest in zip(kinds, corners.max(axis=0, initial=-1), strict=True):
+        if greatest >= len(rows):
+            raise MeshError(f"{path} has a face on {kind} {greatest + 1} of {len(rows)}; export it again")
     positions = _gather(_table(scan.positions, 3), corners[:, 0])
     uvs = np.nan_to_num(_gather(_table(scan.uvs, 2), corners[:, 1]), nan=0.0)
     uvs[:, 1] = np.where(corners[:, 1] >= 0, 1 - uvs[:, 1], 0)
     normals = _gather(_table(scan.normals, 3), corners[:, 2])
-    materials = _materials(path, scan)
+    materials = _materials(path, scan, assigned)
     parts = []
     for (node, material), polygons in scan.groups.items():
         sizes = np.fromiter(map(len, polygons), np.int32, len(polygons))
@@ -131,14 +138,25 @@ def _gather(table: Floats, rows: NDArray[np.int64]) -> Floats:
     return found
 
 
-def _materials(path: Path, scan: _Scan) -> dict[str, Material]:
+def _materials(path: Path, scan: _Scan, assigned: Collection[str]) -> dict[str, Material]:
     """Every material that a face uses; a grey one where no library defines it."""
     defined: dict[str, dict[str, str]] = {}
-    for library in scan.libraries:
+    for library in (name for names in scan.libraries for name in _library_names(path, names)):
         defined.update(_library(path, library))
     textures: dict[str, Texture | None] = {}
     used = dict.fromkeys(material for _, material in scan.groups if material)
+    for name in used:
+        if name in assigned:
+            defined[name] = {k: v for k, v in defined.get(name, {}).items() if not k.startswith("map_")}
     return {name: _material(path, name, defined.get(name, {}), textures) for name in used}
+
+
+def _library_names(path: Path, names: str) -> list[str]:
+    """What one mtllib names: a single file, whose name may hold spaces, or else several."""
+    several = names.split()
+    if beside(path, names).is_file() or not any(beside(path, name).is_file() for name in several):
+        return [names]
+    return several
 
 
 def _library(path: Path, name: str) -> dict[str, dict[str, str]]:
@@ -151,11 +169,11 @@ def _library(path: Path, name: str) -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {}
     statements: dict[str, str] = {}
     for line in lines:
-        key, _, rest = line.strip().replace("\t", " ").partition(" ")
+        key, rest = _statement(line)
         if key == "newmtl":
-            statements = found.setdefault(rest.strip(), {})
+            statements = found.setdefault(rest, {})
         else:
-            statements[key.lower()] = rest.strip()
+            statements[key.lower()] = rest
     return found
 
 

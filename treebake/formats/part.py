@@ -29,14 +29,16 @@ class Part:
     faces: Ints
 
 
-def beside(path: Path, uri: str) -> Path:
+def beside(path: Path, uri: str, way_out: str = "") -> Path:
     """The path of a file that `path` names by a relative URI: percent-decoded, either slash.
 
-    Raises InputError where the URI is remote, absolute or leaves the folder of `path`.
+    Raises InputError where the URI is remote, absolute or leaves the folder of `path`; way_out: what else to do then.
     """
     relative = Path(unquote(uri).replace("\\", "/"))
     if not relative.parts or relative.is_absolute() or ".." in relative.parts or ":" in relative.parts[0]:
-        raise InputError(f"{path} refers to {uri}, outside its own folder; put that file beside it and name it so")
+        raise InputError(
+            f"{path} refers to {uri}, outside its own folder; put that file beside it and name it so{way_out}"
+        )
     return path.parent / relative
 
 
@@ -45,7 +47,7 @@ def texture_beside(path: Path, uri: str) -> Texture | None:
 
     Raises InputError as `beside` does.
     """
-    file = beside(path, uri)
+    file = beside(path, uri, ", or assign another to its material with load.textures")
     try:
         return Texture(file.stem, read_image(file))
     except InputError as error:

@@ -1,5 +1,6 @@
 """Stanford PLY, through plyfile: trimesh 5.2 refuses files that mix triangles and quads."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,8 @@ def read_ply(path: Path) -> list[Part]:
     Raises MeshError where the file is damaged or holds no faces.
     """
     try:
-        file = PlyData.read(str(path))
+        with warnings.catch_warnings(action="ignore"):  # numpy warns of an element without rows
+            file = PlyData.read(str(path))
         vertices, faces = file["vertex"], file["face"]
         polygons = faces[_first(faces, ("vertex_indices", "vertex_index"))]
         positions = _columns(vertices, ("x", "y", "z"))
