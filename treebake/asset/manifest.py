@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import msgspec
 
 FORMAT = 1  # raised when a reader of the number before could misread the files
 
@@ -46,7 +49,7 @@ class Manifest:
     generator: str
     name: str
     source: Source
-    levels: tuple[Level, ...]
+    levels: Annotated[tuple[Level, ...], msgspec.Meta(min_length=1)]
     textures: tuple[Image, ...]
 
 

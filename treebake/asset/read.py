@@ -25,7 +25,7 @@ def read_asset(folder: Path) -> Asset:
         manifest = msgspec.json.decode(data, type=Manifest)
     except OSError as error:
         raise AssetError(f"{folder} is no published asset: {path.name} cannot be read ({error.strerror})") from error
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise AssetError(f"{path} is damaged ({error}); bake the tree again") from error
     for file in [level.file for level in manifest.levels] + [image.file for image in manifest.textures]:
         if not (folder / file).is_file():
