@@ -35,7 +35,11 @@ class Outcome:
 
 
 @pytest.fixture
-def treebake(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
+def treebake(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., Outcome]:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
     def run(*arguments: object) -> Outcome:
         monkeypatch.setattr(sys, "argv", ["treebake", *map(str, arguments)])
         with pytest.raises(SystemExit) as exit_:
@@ -396,6 +400,25 @@ def test_verify_writes_a_report_and_passes(asset: Path, tree: Path, treebake: Ca
     assert [row["height"] for row in facts["heights"]] == [32]
     assert json.loads((asset / "report/report.json").read_text())["heights"] == facts["heights"]
     assert (asset / "report/32px.png").exists()
+
+
+def test_verify_keeps_the_source_out_of_the_asset(asset: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    treebake("verify", asset, "--source", tree, *SMALL)
+    assert not list((asset / "report").rglob("*.npz"))
+    assert len(list((tree.parent / "cache/treebake").iterdir())) == 1
+
+
+@pytest.mark.parametrize(("change", "what"), [("triangles", "triangles differ"), ("up", "bounds differ")])
+def test_verify_against_another_source_is_a_warning(
+    asset: Path, tree: Path, treebake: Callable[..., Outcome], change: str, what: str
+) -> None:
+    assert treebake("verify", asset, "--source", tree, *SMALL, "-q").err == ""
+    if change == "triangles":
+        write_glb(tree, leafy(39))
+    result = treebake("verify", asset, "--source", tree, *SMALL, "-q", *(["--up", "z"] if change == "up" else []))
+    assert result.code == 0
+    (line,) = result.lines
+    assert line.startswith(f"treebake: warning: {tree} is not the mesh that {asset} was baked from ({what})")
 
 
 def test_missed_threshold_is_named_and_exits_1(asset: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:

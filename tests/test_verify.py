@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -197,7 +198,7 @@ def test_another_source_or_view_is_drawn_anew(
     report = verify(source, source, settings, tmp_path)
     assert drawn == [64, 32]
     assert report.levels[0].candidate.flip == 0
-    assert len(list(tmp_path.iterdir())) == 2  # the old ones are replaced
+    assert len(list(tmp_path.iterdir())) == 4  # each has its own file, so several trees share the folder
 
 
 def test_a_damaged_cache_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -207,6 +208,24 @@ def test_a_damaged_cache_is_made_again(tmp_path: Path, monkeypatch: pytest.Monke
     drawn = drawn_sources(monkeypatch)
     assert as_dict(verify(TREE, TREE, FEW, tmp_path)) == first
     assert drawn == [64, 32]
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "cache").write_text("a file, not a folder")
+    drawn = drawn_sources(monkeypatch)
+    for _ in range(2):
+        assert verify(TREE, TREE, FEW, tmp_path / "cache").levels[0].candidate.flip == 0
+    assert drawn == [64, 32] * 2
+
+
+def test_a_full_cache_drops_what_was_not_used_for_longest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reference, "_KEPT", 250)
+    for age, name in enumerate(("source_new.npz", "source_middle.npz", "source_old.npz")):
+        (tmp_path / name).write_bytes(bytes(100))
+        os.utime(tmp_path / name, (1e9 - age, 1e9 - age))
+    (tmp_path / "theirs.txt").write_bytes(bytes(1000))
+    reference._prune(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"source_new.npz", "source_middle.npz", "theirs.txt"}
 
 
 # --- thresholds ---

@@ -10,6 +10,14 @@ from typing import BinaryIO
 from treebake.errors import WorkspaceError
 
 
+def cache_folder() -> Path | None:
+    """Where files are kept that can be made again: treebake/ in the user's cache folder; None without a home."""
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "treebake"
+    except RuntimeError:
+        return None
+
+
 @contextmanager
 def atomic(path: Path) -> Iterator[BinaryIO]:
     """Open a file for writing that takes the name `path` only once it is complete and on the disk.

@@ -6,13 +6,15 @@
 The verifier stands apart: it reads published files only.
 """
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from treebake.asset import read_asset, write_asset
+from treebake.asset import Asset, read_asset, write_asset
+from treebake.files import cache_folder
 from treebake.meshes import read_mesh
 from treebake.model import BakedTree, BillboardCloud, Clusters, Floats, Mesh, Tree
 from treebake.settings import Settings
@@ -23,6 +25,8 @@ from treebake.stages.trunk import TrunkReport, compare, trunk
 from treebake.stages.twigs import twigs
 from treebake.verify import Report, verify, write_report
 from treebake.workspace import Result, Workspace
+
+LOG = logging.getLogger("treebake")
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,12 +111,24 @@ def verify_asset(
     heights = {*settings.verify.heights, 256}  # 256 is what a quick run draws
     if candidate.is_dir():
         asset = read_asset(candidate)
+        _warn_of_another_source(mesh, source, asset)
         levels = {path: read_mesh(path) for path in asset.level_paths}
         meshes = {height: levels[asset.level_for(height)] for height in heights}
         folder = report or candidate / "report"
     else:
         meshes = dict.fromkeys(heights, read_mesh(candidate))
         folder = report or candidate.parent / f"{candidate.stem}_report"
-    found = verify(mesh, meshes, settings.verify, folder / "cache", trunk=tree.trunk, progress=progress)
+    found = verify(mesh, meshes, settings.verify, cache_folder(), trunk=tree.trunk, progress=progress)
     write_report(found, folder)
     return found, folder
+
+
+def _warn_of_another_source(mesh: Mesh, path: Path, asset: Asset) -> None:
+    known = asset.manifest.source
+    size = float(np.ptp(mesh.bounds, axis=0).max())
+    if mesh.triangles == known.triangles and np.allclose(mesh.bounds, known.bounds, rtol=0, atol=1e-4 * size):
+        return
+    what = "triangles" if mesh.triangles != known.triangles else "bounds"
+    LOG.warning(
+        "%s is not the mesh that %s was baked from (%s differ); give the same file and --up", path, asset.folder, what
+    )

@@ -94,8 +94,7 @@ def verify(
     foliage_coverage is of the whole tree. progress: called with the views done and to do, from any thread, one call at
     a time. O(heights x views x (faces + pixels)).
 
-    Raises MeshError for an empty source, SettingsError, GraphicsError, and WorkspaceError where the cache cannot be
-    written.
+    Raises MeshError for an empty source, SettingsError and GraphicsError.
     """
     settings = settings or VerifySettings()
     heights, directions = _plan(source, settings)

@@ -6,6 +6,7 @@ pixel-locked would score.
 """
 
 import hashlib
+import logging
 import zipfile
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
@@ -16,11 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from treebake.errors import WorkspaceError
 from treebake.files import atomic
 from treebake.gl.draw import Drawing, Picture, renderer
 from treebake.model import Doubles, Floats, Mesh
 from treebake.verify.cameras import Camera
 from treebake.verify.metrics import Scores, score, score_all
+
+LOG = logging.getLogger("treebake")
 
 _PACKAGE = Path(__file__).parents[1]
 _CODE = (
@@ -32,6 +36,7 @@ _CODE = (
     "verify/metrics.py",
     "verify/reference.py",
 )
+_KEPT = 2**31  # bytes of cache
 _SCORES = ("floor_one", "floor_half", "empty")
 SCALE = slice(None, None, 3)  # every third camera: of 24, 8 that hold all elevations and azimuths
 
@@ -71,17 +76,17 @@ def reference(
     """Draw and score the source from every camera with its bounding sphere `height` pixels high.
 
     With a cache folder the result is read from there where mesh, cameras, renderer and code are the ones it was made
-    with, and left there otherwise. trunk: the part of the source that is not foliage. `scored` is told how many more
-    views are done. Raises GraphicsError, and WorkspaceError where the cache cannot be written.
+    with, and left there otherwise, if it can be written. Its least recently used files go where it grows beyond 2 GiB.
+    trunk: the part of the source that is not foliage. `scored` is told how many more views are done. Raises
+    GraphicsError.
     """
-    key = _key(source, trunk, cameras, height)
-    path = cache / f"source_{height}px_{len(cameras)}views.npz" if cache else None
-    if path and (kept := _read(path, key)):
+    path = cache / f"source_{_key(source, trunk, cameras, height)}.npz" if cache else None
+    if path and (kept := _read(path)):
         scored(len(cameras))
         return kept
     made = _draw(source, trunk, cameras, height, scored)
     if path:
-        _write(path, key, made)
+        _write(path, made)
     return made
 
 
@@ -153,19 +158,35 @@ def _hash_mesh(digest: "hashlib._Hash", mesh: Mesh) -> None:
 _FIELDS = tuple(field.name for field in fields(Reference))
 
 
-def _read(path: Path, key: str) -> Reference | None:
+def _read(path: Path) -> Reference | None:
     damage = OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile
     with suppress(*damage), path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-        if str(file["key"]) == key:  # a damaged file or another one's is simply made again
-            values: dict[str, Any] = {name: Scores(*file[name]) if name in _SCORES else file[name] for name in _FIELDS}
-            return Reference(**values)
-    return None
+        values: dict[str, Any] = {name: Scores(*file[name]) if name in _SCORES else file[name] for name in _FIELDS}
+        with suppress(OSError):
+            path.touch()  # used now
+        return Reference(**values)
+    return None  # a damaged file is simply made again
 
 
-def _write(path: Path, key: str, made: Reference) -> None:
+def _write(path: Path, made: Reference) -> None:
     values = {name: getattr(made, name) for name in _FIELDS}
     arrays: dict[str, Any] = {
         name: np.stack(astuple(value)) if name in _SCORES else value for name, value in values.items()
     }
-    with atomic(path) as file:
-        np.savez(file, key=np.array(key), **arrays)
+    try:
+        with atomic(path) as file:
+            np.savez(file, **arrays)
+    except WorkspaceError as error:
+        LOG.info("the source's pictures are not kept for the next time: %s", error)
+        return
+    with suppress(OSError):  # another run may be at it too
+        _prune(path.parent)
+
+
+def _prune(cache: Path) -> None:
+    """Remove the files that were not used for longest, all beyond the size that is kept."""
+    size = 0
+    for path in sorted(cache.glob("source_*.npz"), key=lambda path: path.stat().st_mtime, reverse=True):
+        size += path.stat().st_size
+        if size > _KEPT:
+            path.unlink(missing_ok=True)
