@@ -16,7 +16,8 @@ def main() -> int:
     """Return 1 where a measured row misses its bound, or a row that was asked for could not be measured."""
     parser = argparse.ArgumentParser(prog="make bench")
     parser.add_argument("--only", default="", help="row ids, separated by commas; all of them by default")
-    only = parser.parse_args().only.split(",") if parser.parse_args().only else list(ROWS)
+    asked = parser.parse_args().only
+    only = asked.split(",") if asked else list(ROWS)
     if unknown := [name for name in only if name not in ROWS]:
         parser.error(f"there is no row {', '.join(unknown)}; known are {', '.join(ROWS)}")
 

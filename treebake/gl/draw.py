@@ -22,7 +22,6 @@ from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Mesh, Tex
 
 _SAMPLES = 4
 _RGBA8, _SRGB8_ALPHA8 = 0x8058, 0x8C43
-_VERTEX_BYTES = 4 * (3 + 3 + 2)
 _INDEX_BYTES = 4
 _ALPHA_MODES = {AlphaMode.OPAQUE: 0, AlphaMode.MASK: 1, AlphaMode.BLEND: 2}
 _WHITE = Texture("white", np.full((1, 1, 4), 255, np.uint8))
