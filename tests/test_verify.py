@@ -1,6 +1,7 @@
 """The protocol as a whole: what is compared with what, what is kept, what is written."""
 
 import json
+import logging
 import math
 import os
 from dataclasses import asdict, replace
@@ -11,6 +12,7 @@ import pytest
 
 from tests.synthetic import joined, quad, small_tree, texture
 from treebake.errors import MeshError, SettingsError, WorkspaceError
+from treebake.files import cache_folder
 from treebake.images import read_image
 from treebake.model import AlphaMode, Material, Mesh
 from treebake.verify import (
@@ -210,12 +212,25 @@ def test_a_damaged_cache_is_made_again(tmp_path: Path, monkeypatch: pytest.Monke
     assert drawn == [64, 32]
 
 
-def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cache_that_cannot_be_written_is_done_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "treebake")
     (tmp_path / "cache").write_text("a file, not a folder")
     drawn = drawn_sources(monkeypatch)
     for _ in range(2):
         assert verify(TREE, TREE, FEW, tmp_path / "cache").levels[0].candidate.flip == 0
     assert drawn == [64, 32] * 2
+    (line,) = set(caplog.messages)
+    assert f"{tmp_path / 'cache'} cannot be written" in line
+
+
+def test_the_cache_is_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    assert cache_folder() == tmp_path / ".cache/treebake"
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "elsewhere"))
+    assert cache_folder() == tmp_path / "elsewhere/treebake"
 
 
 def test_a_full_cache_drops_what_was_not_used_for_longest(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

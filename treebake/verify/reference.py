@@ -176,8 +176,8 @@ def _write(path: Path, made: Reference) -> None:
     try:
         with atomic(path) as file:
             np.savez(file, **arrays)
-    except WorkspaceError as error:
-        LOG.info("the source's pictures are not kept for the next time: %s", error)
+    except WorkspaceError:
+        LOG.info("verify: %s cannot be written, so the source is drawn anew each time; make it writable", path.parent)
         return
     with suppress(OSError):  # another run may be at it too
         _prune(path.parent)
