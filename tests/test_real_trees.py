@@ -37,6 +37,7 @@ THIN = pytest.mark.xfail(
 def test_foliage_keeps_its_coverage_at_256_pixels(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     source = tree(name)
     options = ("--config", CONFIGS / f"{source.stem}.toml", "-q")
     assert treebake(monkeypatch, "bake", source, "-o", tmp_path, *options) == 0
