@@ -74,9 +74,10 @@ def test_what_is_full_is_not_cut() -> None:
 
 
 def test_a_wide_margin_makes_a_cut_too_dear() -> None:
-    islands = row(0.0) + row(1.0)
-    assert len(cut(islands, limit=100, margin=0.001).plane) == 2
-    assert len(cut(islands, limit=100, margin=1.0).plane) == 1
+    level = row(0.0) + row(1.0)
+    for islands in (level, [(0.0, x, 0.0) for x, _, _ in level]):
+        assert len(cut(islands, limit=100, margin=0.001).plane) == 2
+        assert len(cut(islands, limit=100, margin=1.0).plane) == 1
 
 
 def test_the_cuts_that_save_most_come_first() -> None:
