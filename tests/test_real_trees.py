@@ -19,17 +19,12 @@ def treebake(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     return int(exit_.value.code or 0)
 
 
-THIN = pytest.mark.xfail(
-    reason="leaves of one slender triangle still lose a sixth of their area in the atlas", strict=True
-)
-
-
 @pytest.mark.parametrize(
     "name",
     [
         "ez_oak_large.glb",
         "sapling_white_birch.glb",
-        pytest.param("treegen_palm.glb", marks=THIN),
+        "treegen_palm.glb",
         "quaternius_tree_1/Tree_1.obj",
     ],
     ids=["ez_oak", "white_birch", "palm", "quaternius"],

@@ -49,7 +49,7 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
     Raises SettingsError where a setting is out of range and BudgetError where the cards exceed the atlas.
     """
     _check(settings)
-    _warn_of_one_sided_leaves(tree.foliage)
+    _warn_of_one_sided_leaves(tree)
     flat = flatten(tree.foliage, tree.leaves, clusters)
     density_limit = settings.leaf_texels / _leaf_size(tree.leaves)
     margin = settings.padding / min(density_limit, _density_guess(tree.leaves, settings.atlas))
@@ -93,9 +93,10 @@ def _check(settings: BillboardSettings) -> None:
             raise SettingsError(f"[textures] {name} is {getattr(settings, name)}; it must be {hint}")
 
 
-def _warn_of_one_sided_leaves(foliage: Mesh) -> None:
-    for index in np.unique(foliage.face_material):
-        material = foliage.materials[index]
+def _warn_of_one_sided_leaves(tree: Tree) -> None:
+    of_leaf = ~tree.leaves.is_twig[tree.leaves.face_leaf]
+    for index in np.unique(tree.foliage.face_material[of_leaf]):
+        material = tree.foliage.materials[index]
         if not material.double_sided:
             LOG.warning(
                 "the leaves of material %s are single-sided and a card shows both sides: the crown may look denser; "

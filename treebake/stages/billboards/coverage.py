@@ -25,7 +25,8 @@ _STEP = 0.03  # mean distance from the cutoff that a block's texels aim for; mor
 _MARGIN = 2 / 255  # distance from the cutoff that survives rounding to 8 bits, here and in every mip
 _ROUNDS = 6  # corrections of the quotas; the area is then right within a few per cent at every level
 _DAMPING = 0.8  # of a correction: levels pull at each other, and full steps swing
-_FITS = (2, 4)  # rounds that look at a picture too: the quotas settle in between
+_FITS = 3  # pictures that are looked at
+_TOLERANCE = 0.05  # of the picture's area: beyond it something else is wrong, and is told
 _GAINS = (0.8, 1.25)  # of the covered area: a fit beyond these would hide that something else is wrong
 _LAST_SIDE = 16  # texels on the shorter side of the last level that is shaped
 
@@ -46,20 +47,38 @@ def preserve_coverage(coverage: Floats, cutoff: float, drawn: Callable[[Floats],
     levels = [_Level.of(coverage)]
     while min(levels[-1].share.shape) > _LAST_SIDE:
         levels.append(_Level.of(_halve(levels[-1].share)))
-    quotas, gain = np.ones(len(levels)), 1.0
-    for turn in range(_ROUNDS):
+    quotas = np.ones(len(levels))
+    for _ in range(_ROUNDS):
         alpha = _shape(levels, quotas, cutoff)
-        if drawn is not None and turn in _FITS:
-            gain = float(np.clip(gain / max(drawn(alpha), 1e-9), *_GAINS))
-        lacking = gain * total / np.maximum(_areas(alpha, cutoff, len(levels)), 1e-9)
-        quotas *= np.clip(lacking, 0.5, 2) ** _DAMPING
-    if gain in _GAINS:
+        quotas *= _correction(alpha, cutoff, total, len(levels))
+    return _shape(levels, quotas, cutoff) if drawn is None else _fitted(levels, quotas, cutoff, total, drawn)
+
+
+def _fitted(
+    levels: list["_Level"], quotas: Doubles, cutoff: float, total: float, drawn: Callable[[Floats], float]
+) -> Floats:
+    """The alpha whose picture comes nearest to the wanted area; quotas go on moving, so the best one seen is kept."""
+    gain, best, least_error = 1.0, np.zeros(0, np.float32), np.inf
+    for _ in range(_FITS):
+        alpha = _shape(levels, quotas, cutoff)
+        share = drawn(alpha)
+        if abs(share - 1) < least_error:
+            best, least_error = alpha, abs(share - 1)
+        gain = float(np.clip(gain / max(share, 1e-9), *_GAINS))
+        quotas = quotas * _correction(alpha, cutoff, gain * total, len(levels))
+    if least_error > _TOLERANCE:
         LOG.warning(
-            "the cards cannot be fitted to the area that the foliage covers (by more than %.2f times); look at the "
-            "report, and if leaves are single-sided make them doubleSided in the source",
-            gain,
+            "the cards cover %.0f %% too much or too little of the picture; look at the report, and if leaves are "
+            "single-sided make them doubleSided in the source",
+            100 * least_error,
         )
-    return _shape(levels, quotas, cutoff)
+    return best
+
+
+def _correction(alpha: Floats, cutoff: float, total: float, levels: int) -> Doubles:
+    """What to multiply the quotas with, for every level to pass over `total`."""
+    lacking = total / np.maximum(_areas(alpha, cutoff, levels), 1e-9)
+    return np.asarray(np.clip(lacking, 0.5, 2) ** _DAMPING)
 
 
 @dataclass(frozen=True, eq=False)
