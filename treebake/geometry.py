@@ -140,3 +140,9 @@ def crease_normals(positions: Floats, faces: Ints, crease: float) -> tuple[Float
     pairs, inverse = np.unique(faces.reshape(-1).astype(np.int64) * (len(sums) + 1) + groups, return_inverse=True)
     source, group = np.divmod(pairs, len(sums) + 1)
     return normals[group].astype(np.float32), source.astype(np.int32), inverse.reshape(-1, 3).astype(np.int32)
+
+
+def reject(vectors: Doubles, axes: Doubles) -> Doubles:
+    """What is left of vectors (N, 3) at right angles to unit axes (N, 3): (N, 3) float64."""
+    rest: Doubles = vectors - axes * (vectors * axes).sum(axis=1, keepdims=True)
+    return rest

@@ -11,8 +11,9 @@ import numpy as np
 
 from treebake import __version__
 from treebake.files import atomic
+from treebake.geometry import reject
 from treebake.images import encode_texture
-from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Mesh, Texture
+from treebake.model import AlphaMode, Floats, Ints, Material, Mesh, Texture
 
 _VERTICES, _INDICES = 34962, 34963  # bufferView targets
 _UINT16, _UINT32, _FLOAT = 5123, 5125, 5126  # component types
@@ -181,17 +182,11 @@ def _tangents(positions: Floats, normals: Floats, uvs: Floats, faces: Ints) -> F
     for corner in faces.T:
         np.add.at(tangents, corner, along_u)
         np.add.at(sides, corner, winding)
-    tangents = _reject(tangents, n)
+    tangents = reject(tangents, n)
     lost = np.linalg.norm(tangents, axis=1) < 1e-12
-    tangents[lost] = _reject(np.eye(3)[np.abs(n[lost]).argmin(axis=1)], n[lost])
+    tangents[lost] = reject(np.eye(3)[np.abs(n[lost]).argmin(axis=1)], n[lost])
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     return np.column_stack([tangents, np.where(sides < 0, -1, 1)]).astype(np.float32)
-
-
-def _reject(vectors: Doubles, axes: Doubles) -> Doubles:
-    """What is left of the vectors at right angles to the unit axes."""
-    rest: Doubles = vectors - axes * (vectors * axes).sum(axis=1, keepdims=True)
-    return rest
 
 
 def _chunk(kind: bytes, data: bytes) -> bytes:

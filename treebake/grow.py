@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 
 from treebake.errors import SettingsError
+from treebake.geometry import reject
 from treebake.images import read_image
 from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Mesh, Texture
 from treebake.resources import resource
@@ -195,12 +196,12 @@ def _extend(
     """Let n stems grow from their points, segment by segment, turning as they go."""
     along = np.linspace(0, 1, generation.segments + 1)
     flat = np.where(np.abs(headings[:, 1:2]) < 0.99, np.cross(_UP, headings), [1.0, 0.0, 0.0])
-    side = _unit(_reject(flat, headings))
+    side = _unit(reject(flat, headings))
     rings = [(points, headings, side)]
     for rise in np.interp(along[1:], (0, 1), generation.rise):
         turn = rise * _UP + generation.wander * rng.normal(0, 1, headings.shape)
         headings = _unit(headings + turn / generation.segments)
-        side = _unit(_reject(side, headings))
+        side = _unit(reject(side, headings))
         points = points + headings * (lengths / generation.segments)[:, None]
         rings.append((points, headings, side))
     tapered = np.maximum(radii[:, None] * (1 - plan.taper * along), plan.thinnest)
@@ -230,7 +231,7 @@ def _sprout(parents: _Stems, total: int, habit: Generation | Leaf, rng: np.rando
     )
     radii = parents.radii[low] * (1 - blend[:, 0]) + parents.radii[high] * blend[:, 0]
     headings = _unit(headings)
-    side = _unit(_reject(sides, headings))
+    side = _unit(reject(sides, headings))
     outward = _turn(side, np.cross(headings, side), azimuth)
     return _Buds(parent.astype(np.int32), fractions, points, headings, outward, radii)
 
@@ -267,7 +268,7 @@ def _foliage(
     along = _unit(_turn(buds.headings, buds.outward, angles) - leaf.droop * _UP)
     away = _unit(buds.points * [1.0, 0.0, 1.0] + 1e-9)
     face = leaf.face_up * _UP + leaf.face_out * away + leaf.face_spread * rng.normal(0, 1, along.shape)
-    face = _unit(_reject(face, along))
+    face = _unit(reject(face, along))
     scale = leaf.length * _spread(leaf.length_spread, total, rng)
     frames = np.stack([np.cross(along, face), along, face], axis=1).astype(np.float32)
     feet = (buds.points + buds.outward * buds.radii[:, None]).astype(np.float32)
@@ -318,12 +319,6 @@ def _turn(start: Doubles, towards: Doubles, angles: Doubles) -> Doubles:
     """Turn unit vectors by (n,) angles in radians towards others at right angles to them."""
     turned: Doubles = start * np.cos(angles)[:, None] + towards * np.sin(angles)[:, None]
     return turned
-
-
-def _reject(vectors: Doubles, axes: Doubles) -> Doubles:
-    """What is left of the vectors at right angles to the unit axes."""
-    rest: Doubles = vectors - axes * (vectors * axes).sum(axis=1, keepdims=True)
-    return rest
 
 
 def _unit(vectors: Doubles) -> Doubles:
