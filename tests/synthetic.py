@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from treebake.gl.draw import View
+from treebake.gl.view import View
 from treebake.model import Material, Mesh, Texture
 
 # Seen from +Z without perspective: x and y in -1..1 fill the picture.

@@ -76,7 +76,7 @@ def sampled(start: float, end: float, count: int, factor: int) -> Floats:
 
 
 def test_coverage_of_a_rectangle_is_its_area_in_each_texel() -> None:
-    color, normal = bake_atlas(box((3.25, 9.5), (4.75, 20.25)), [WHITE], SIZE, 4)
+    color, normal, _ = bake_atlas(box((3.25, 9.5), (4.75, 20.25)), [WHITE], SIZE, 4)
     assert color.shape == (32, 64, 4)
     assert normal.shape == (32, 64, 3)
     assert np.allclose(color[..., 3], np.outer(span(4.75, 20.25, 32), span(3.25, 9.5, 64)), atol=HALF)
@@ -114,7 +114,7 @@ def test_outside_of_the_atlas_is_nothing() -> None:
 
 def test_colour_is_premultiplied_by_coverage() -> None:
     material = Material("leaf", base_color=(0.8, 0.4, 0.2, 1.0))
-    color, normal = bake_atlas(box((0, 1.5), (0, 1)), [material], SIZE, 4)
+    color, normal, _ = bake_atlas(box((0, 1.5), (0, 1)), [material], SIZE, 4)
     assert np.allclose(color[0, 0], (0.8, 0.4, 0.2, 1), atol=HALF)
     assert np.allclose(color[0, 1], (0.4, 0.2, 0.1, 0.5), atol=HALF)
     assert np.allclose(normal[0, :2], [(0, 0, 1), (0, 0, 0.5)], atol=HALF)
@@ -167,10 +167,10 @@ def test_normals_that_cancel_leave_no_hole() -> None:
     # Opposite normals meet in the middle of the leaf, where none is left.
     torn = box((0, 4), (0, 4))
     torn.normals[...] = np.where(torn.positions[..., :1] > 2, (1, 0, 0), (-1, 0, 0))
-    color, normal = bake_atlas(torn, [WHITE], SIZE, 1)
+    color, normal, _ = bake_atlas(torn, [WHITE], SIZE, 1)
     assert np.isfinite(normal).all()
     none = replace(torn, normals=np.zeros_like(torn.normals))
-    color, normal = bake_atlas(none, [WHITE], SIZE, 2)
+    color, normal, _ = bake_atlas(none, [WHITE], SIZE, 2)
     assert np.isfinite(normal).all()
     assert color[:4, :4, 3].min() == 1
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from treebake.model import Doubles
 from treebake.stages.billboards.cards import Cards, cut_cards
-from treebake.stages.billboards.flatten import FlatLeaves, flatten
+from treebake.flatten import FlatLeaves, flatten
 
 SIZE = 0.2
 

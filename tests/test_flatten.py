@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from treebake.model import Doubles, Tree
-from treebake.stages.billboards.flatten import FlatLeaves, flatten, plane_frames
+from treebake.flatten import FlatLeaves, flatten, plane_frames
 
 AXES = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0), (-1, 0, 0), (0, 0, -1)]
 

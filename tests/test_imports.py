@@ -11,7 +11,7 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Which rooms each layer may import from, besides itself; a room is the first name below `treebake`.
 LAYERS = {
-    "ground": {"model", "errors", "geometry", "resources", "files", "tubes", "surface"},
+    "ground": {"model", "errors", "geometry", "flatten", "packing", "placements", "resources", "files", "tubes"},
     "services": {"images", "meshes", "formats", "glb", "gl"},
     "stages": {"stages"},
     "asset": {"asset"},

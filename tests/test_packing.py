@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from treebake.errors import BudgetError
 from treebake.model import Doubles
-from treebake.stages.billboards.packing import pack, texel_sizes
+from treebake.packing import pack, texel_sizes
 
 ENOUGH = 100.0  # texels per unit
 

@@ -11,7 +11,8 @@ from tests.synthetic import BACK, FRONT, joined, quad, small_tree, texture
 from tests.trees import tree
 from treebake.errors import GraphicsError
 from treebake.gl.context import context
-from treebake.gl.draw import Drawing, Picture, View
+from treebake.gl.draw import Drawing, Picture
+from treebake.gl.view import View
 from treebake.images import to_linear
 from treebake.meshes import read_mesh
 from treebake.model import AlphaMode, Material, Mesh, Texture

@@ -103,6 +103,27 @@ def bleed(pixels: Floats) -> Floats:
     return np.asarray(result[..., :3] / np.maximum(result[..., 3:], 1e-6), np.float32)
 
 
+def color_texels(color: Floats) -> Bytes:
+    """sRGB texels of a premultiplied linear image (h, w, 4): (h, w, 3) uint8.
+
+    Colours are bled under the transparent texels, so that no mip mixes in black.
+    """
+    return to_srgb(bleed(color))
+
+
+def normal_texels(normal: Floats, coverage: Floats) -> Bytes:
+    """Tangent-space normals as glTF packs them, bled like the colour: (h, w, 4) uint8, alpha 255.
+
+    normal: (h, w, 3) float32, premultiplied by coverage (h, w). None of the result points away from the viewer.
+    """
+    spread = bleed(np.concatenate([normal, coverage[..., None]], axis=2))
+    spread[..., 2] = np.maximum(spread[..., 2], 0.05)
+    spread /= np.linalg.norm(spread, axis=2, keepdims=True)
+    texels = np.full((*coverage.shape, 4), 255, np.uint8)
+    texels[..., :3] = np.rint((spread * 0.5 + 0.5) * 255)
+    return texels
+
+
 def flip_error(reference: Floats, test: Floats) -> Floats:
     """LDR-FLIP error map of two linear (h, w, 3) float32 images at 67 pixels per degree: (h, w) float32 in 0..1."""
     result = oiio.ImageBufAlgo.FLIP_diff(_buffer(reference), _buffer(test), hdr=0)

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+Words = NDArray[np.uint32]
 Floats = NDArray[np.float32]
 Doubles = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -197,6 +198,37 @@ class BillboardCloud:
 
     mesh: Mesh
     face_cluster: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class IndirectTextures:
+    """Billboards whose texels are looked up: hash -> lists -> placements -> leaf images ([GPSS07] 4.2).
+
+    The tables as they are published and as the shader reads them; `asset/FORMAT.md` gives every bit and equation.
+    A billboard's own frame is (right, down, away), in hash cells from the corner of its box.
+
+    billboards: (K, 20) float32, frame, box and place in the hash texture of each billboard.
+    shapes: (S, 12) float32, size, relief and images of each leaf shape.
+    hash_texture: (h, w) uint32, the list of each cell: offset and count. lists_texture: (h, w) uint16, leaves of a
+    billboard, in each list ordered front to back.
+    placements: (h, w, 4) uint32, pose of each leaf. ambient: (h, w, 4) uint8, the part of the sky that the corners of
+    each leaf see (left top, right top, right bottom, left bottom), beside its placement.
+    largest: half the height of the largest leaf, in cells.
+    leaf_color, leaf_normal: one image per shape and side; the second holds the normal's right and up in RG and the
+    relief's height in B. far_color, far_normal: all billboards at `far_texels` a hash cell, for what is not looked up.
+    """
+
+    billboards: Floats
+    shapes: Floats
+    hash_texture: Words
+    lists_texture: NDArray[np.uint16]
+    placements: Words
+    ambient: Bytes
+    largest: float
+    leaf_color: Texture
+    leaf_normal: Texture
+    far_color: Texture
+    far_normal: Texture
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,16 +31,17 @@ class FlatTriangles:
 
 def bake_atlas(
     triangles: FlatTriangles, materials: Sequence[Material], size: tuple[int, int], supersample: int
-) -> tuple[Floats, Floats]:
+) -> tuple[Floats, Floats, Floats]:
     """Draw the triangles into an atlas of size (width, height), with `supersample` squared samples a texel.
 
-    Returns colour (h, w, 4) float32, linear and premultiplied by its alpha, which is coverage in 0..1; and normals
-    (h, w, 3) float32 in the card's frame, premultiplied likewise. Tiled, so that memory stays below 200 MB of samples.
+    Returns colour (h, w, 4) float32, linear and premultiplied by its alpha, which is coverage in 0..1; normals
+    (h, w, 3) float32 in the card's frame; and depth (h, w) float32; both premultiplied likewise. Tiled, so that memory
+    stays below 200 MB of samples.
     """
     gl = context()
     width, height = size
     color = np.empty((height, width, 4), np.float32)
-    normal = np.empty((height, width, 3), np.float32)
+    normal = np.empty((height, width, 4), np.float32)  # the depth last
     batches = [_upload(gl, triangles, index, materials[index]) for index in np.unique(triangles.material)]
     tile = min(_TILE, max(width, height))
     images, samples = _target(gl, tile * supersample, "f2", depth=True)
@@ -62,8 +63,8 @@ def bake_atlas(
             average.render(moderngl.TRIANGLES, vertices=3)
             rows, columns = min(tile, height - y), min(tile, width - x)
             color[y : y + rows, x : x + columns] = _pixels(averaged, 0, tile)[:rows, :columns]
-            normal[y : y + rows, x : x + columns] = _pixels(averaged, 1, tile)[:rows, :columns, :3]
-    return color, normal
+            normal[y : y + rows, x : x + columns] = _pixels(averaged, 1, tile)[:rows, :columns]
+    return color, normal[..., :3], normal[..., 3]
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,27 +18,15 @@ import numpy as np
 
 from treebake.errors import GraphicsError
 from treebake.gl.context import context, program
-from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Mesh, Texture
+from treebake.gl.indirect import IndirectBillboards
+from treebake.gl.view import View, column_major
+from treebake.model import AlphaMode, Floats, IndirectTextures, Ints, Material, Mesh, Texture
 
 _SAMPLES = 4
 _RGBA8, _SRGB8_ALPHA8 = 0x8058, 0x8C43
 _INDEX_BYTES = 4
 _ALPHA_MODES = {AlphaMode.OPAQUE: 0, AlphaMode.MASK: 1, AlphaMode.BLEND: 2}
 _WHITE = Texture("white", np.full((1, 1, 4), 255, np.uint8))
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """Where from and how large: a square picture.
-
-    to_clip: (4, 4) float64, takes a world position (column) to OpenGL clip space, whose w is the depth along the
-    optical axis. size: pixels a side. near, far: the depths between which it sees.
-    """
-
-    to_clip: Doubles
-    size: int
-    near: float
-    far: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +54,7 @@ class Drawing:
     Raises GraphicsError where there is no OpenGL, or a texture is larger than the driver takes.
     """
 
-    def __init__(self, mesh: Mesh, *, exact_cutouts: bool = False) -> None:
+    def __init__(self, mesh: Mesh, indirect: IndirectTextures | None = None, *, exact_cutouts: bool = False) -> None:
         self._gl = context()
         self._exact_cutouts = exact_cutouts
         self._owned: list[Any] = []  # in the order of making
@@ -82,10 +70,12 @@ class Drawing:
             if last > first
         ]
         self._parts = sorted(parts, key=lambda part: part.material.alpha_mode is AlphaMode.BLEND)
-        if not self._parts:
-            return
+        self._indirect: IndirectBillboards | None = None
         try:
-            self._upload(mesh)
+            if indirect is not None:
+                self._indirect = self._own(IndirectBillboards(self._gl, indirect))
+            if self._parts:
+                self._upload(mesh)
         except Exception:
             self.close()
             raise
@@ -100,6 +90,8 @@ class Drawing:
             gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
             for part in self._parts:
                 self._draw(part, view, target.samples)
+            if self._indirect is not None:
+                self._indirect.draw(view)
         gl.copy_framebuffer(target.resolved, target.samples)
         self._check()
         color, depth = target.read()
@@ -117,7 +109,7 @@ class Drawing:
             gl.blend_func = gl.ONE, gl.ONE
             for part in self._parts:
                 self._cull(part.material)
-                self._counter["to_clip"] = _column_major(view.to_clip)
+                self._counter["to_clip"] = column_major(view.to_clip)
                 self._count_array.render(vertices=3 * (part.last - part.first), first=3 * part.first)
         self._check()
         return float(_pixels(target.count, 0, 1).sum(dtype=np.float64))
@@ -182,7 +174,7 @@ class Drawing:
         if blend:
             self._indices.write(self._back_to_front(part, view), offset=3 * _INDEX_BYTES * part.first)
         self._cull(material)
-        lit["to_clip"] = _column_major(view.to_clip)
+        lit["to_clip"] = column_major(view.to_clip)
         lit["base_color"] = material.base_color
         lit["alpha_mode"] = _ALPHA_MODES[material.alpha_mode]
         lit["alpha_cutoff"] = material.alpha_cutoff
@@ -257,7 +249,3 @@ def _pixels(framebuffer: Any, attachment: int, channels: int) -> Floats:
     raw = framebuffer.read(components=channels, attachment=attachment, dtype="f4")
     width, height = framebuffer.size
     return np.ascontiguousarray(np.frombuffer(raw, np.float32).reshape(height, width, channels)[::-1])
-
-
-def _column_major(matrix: Doubles) -> tuple[float, ...]:
-    return tuple(matrix.T.ravel().tolist())

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from treebake.gl.draw import View
+from treebake.gl.view import View
 from treebake.model import Doubles, Mesh
 
 FIELD_OF_VIEW = 35.0  # degrees that the bounding sphere fills, from edge to edge

@@ -6,24 +6,27 @@ in vec3 in_normal;  // the source's normal in the card's frame (right, up, towar
 uniform vec4 window;  // the part of the atlas that this tile shows: x, y, width, height in texels
 out vec2 uv;
 out vec3 normal;
+out float depth;
 
 void main() {
     vec2 place = (in_position.xy - window.xy) / window.zw * 2.0 - 1.0;
     gl_Position = vec4(place, -in_position.z, 1.0);
     uv = in_uv;
     normal = in_normal;
+    depth = in_position.z;
 }
 #endif
 
 #ifdef FRAGMENT_STAGE
 in vec2 uv;
 in vec3 normal;
+in float depth;
 uniform sampler2D color_map;
 uniform vec4 base_color;
 uniform float alpha_cutoff;  // 0 where the material is opaque
 uniform bool blend;  // alpha is a share: it decides how many of a texel's samples are covered
 layout(location = 0) out vec4 out_color;
-layout(location = 1) out vec4 out_normal;
+layout(location = 1) out vec4 out_normal;  // with the depth in place of alpha
 
 // The 4x4 ordered dither: as many of 16 neighbouring samples lie below a share as the share says.
 const float BAYER[16] = float[](0., 8., 2., 10., 12., 4., 14., 6., 3., 11., 1., 9., 15., 7., 13., 5.);
@@ -41,6 +44,6 @@ void main() {
     vec3 facing = gl_FrontFacing ? -normal : normal;
     out_color = vec4(color.rgb, 1.0);
     float length_ = length(facing);  // 0 where the corners' normals cancel each other
-    out_normal = vec4(length_ > 0.0 ? facing / length_ : vec3(0.0, 0.0, 1.0), 1.0);
+    out_normal = vec4(length_ > 0.0 ? facing / length_ : vec3(0.0, 0.0, 1.0), depth);
 }
 #endif

@@ -31,10 +31,7 @@ const int OPAQUE = 0;
 const int MASK = 1;
 const int BLEND = 2;
 
-const vec3 SUN_DIRECTION = normalize(vec3(0.5, 0.8, 0.35));
-const vec3 SUN = vec3(1.25, 1.15, 1.0);
-const vec3 SKY = vec3(0.45, 0.52, 0.62);
-const vec3 GROUND = vec3(0.22, 0.20, 0.16);
+#include "lighting.glsl"
 
 uniform vec4 base_color;
 uniform sampler2D color_map;  // sRGB: decoded before it is filtered
@@ -104,10 +101,8 @@ void main() {
     if (alpha_mode == MASK && albedo.a < alpha_cutoff) discard;
 #endif
 
-    vec3 light = SUN * max(dot(facing, SUN_DIRECTION), 0.0) + mix(GROUND, SKY, 0.5 + 0.5 * facing.y);
     float alpha = alpha_mode == BLEND ? albedo.a : 1.0;
-    // Clipped here, before samples are averaged, as in a client that draws into 8 bits.
-    color = vec4(min(albedo.rgb * light, 1.0) * alpha, alpha);
+    color = vec4(lit(albedo.rgb, facing) * alpha, alpha);
     depth = vec4(alpha * range, 0.0, 0.0, alpha);
 }
 #endif

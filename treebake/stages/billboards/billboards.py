@@ -7,11 +7,10 @@ import numpy as np
 
 from treebake.errors import SettingsError
 from treebake.gl.bake import FlatTriangles, bake_atlas
-from treebake.images import bleed, to_srgb
+from treebake.images import color_texels, normal_texels
 from treebake.model import (
     AlphaMode,
     BillboardCloud,
-    Bytes,
     Clusters,
     Doubles,
     Floats,
@@ -24,8 +23,8 @@ from treebake.model import (
 )
 from treebake.stages.billboards.cards import Cards, cut_cards
 from treebake.stages.billboards.coverage import preserve_coverage
-from treebake.stages.billboards.flatten import FlatLeaves, flatten, plane_frames
-from treebake.stages.billboards.packing import pack, texel_sizes
+from treebake.flatten import FlatLeaves, flatten, plane_frames
+from treebake.packing import pack, texel_sizes
 from treebake.stages.billboards.silhouette import covered_area
 
 LOG = logging.getLogger("treebake")
@@ -56,8 +55,8 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
     cards = cut_cards(flat, clusters.labels, settings.triangles // 2, margin)
     origins, density, size = pack(cards.sizes, settings.atlas, density_limit, settings.padding)
     triangles = _placed(tree.foliage, flat, cards, origins, density)
-    color, normal = bake_atlas(triangles, tree.foliage.materials, size, settings.supersample)
-    texels, normals = _color_texels(color), _normal_texels(normal, color[..., 3])
+    color, normal, _ = bake_atlas(triangles, tree.foliage.materials, size, settings.supersample)
+    texels, normals = color_texels(color), normal_texels(normal, color[..., 3])
 
     def cloud(alpha: Floats) -> BillboardCloud:
         material = Material(
@@ -137,21 +136,6 @@ def _placed(foliage: Mesh, flat: FlatLeaves, cards: Cards, origins: Ints, densit
 
 def _dot(corners: Doubles, axis: Doubles) -> Doubles:
     return np.asarray(np.einsum("mki,mi->mk", corners, axis))
-
-
-def _color_texels(color: Floats) -> Bytes:
-    """sRGB colour, bled under the transparent texels so that no mip mixes in black: (h, w, 3) uint8."""
-    return to_srgb(bleed(color))
-
-
-def _normal_texels(normal: Floats, coverage: Floats) -> Bytes:
-    """Tangent-space normals as glTF packs them, bled like the colour; a card shows no normal that points away."""
-    spread = bleed(np.concatenate([normal, coverage[..., None]], axis=2))
-    spread[..., 2] = np.maximum(spread[..., 2], 0.05)
-    spread /= np.linalg.norm(spread, axis=2, keepdims=True)
-    texels = np.full((*coverage.shape, 4), 255, np.uint8)
-    texels[..., :3] = np.rint((spread * 0.5 + 0.5) * 255)
-    return texels
 
 
 def _cloud(

@@ -4,7 +4,8 @@ from contextlib import closing
 
 import numpy as np
 
-from treebake.gl.draw import Drawing, View
+from treebake.gl.draw import Drawing
+from treebake.gl.view import View
 from treebake.model import Doubles, Mesh
 
 _HEIGHTS = (384, 192)  # pixels across the bounding sphere: the middle of the range that a standard cloud is for

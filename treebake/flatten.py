@@ -35,7 +35,7 @@ def flatten(foliage: Mesh, leaves: Leaves, clusters: Clusters) -> FlatLeaves:
     plane = clusters.labels
     frames = plane_frames(clusters.normals)
     # Into the plane's frame and turned there, in one matrix per leaf.
-    turns = frames[plane] @ _turns(leaves, clusters.normals[plane])
+    turns = frames[plane] @ turns_into(clusters.normals[plane], leaves)
     centers = np.einsum("nij,nj->ni", frames[plane], leaves.centers)
     centers[:, 2] += clusters.offsets[plane]
     vertices = foliage.faces[face]
@@ -56,8 +56,8 @@ def plane_frames(normals: Doubles) -> Doubles:
     return np.stack([np.cross(up, normals), up, normals], axis=1)
 
 
-def _turns(leaves: Leaves, planes: Doubles) -> Doubles:
-    """The least rotation that brings each leaf into its plane: (N, 3, 3)."""
+def turns_into(planes: Doubles, leaves: Leaves) -> Doubles:
+    """The least rotation that brings each leaf into the plane whose normal is planes (N, 3): (N, 3, 3)."""
     side = np.where(np.einsum("ij,ij->i", leaves.normals, planes) < 0, -1.0, 1.0)
     across = np.einsum("ij,ij->i", leaves.axes, planes)
     in_plane = leaves.axes - across[:, None] * planes

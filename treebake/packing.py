@@ -1,4 +1,4 @@
-"""Pack the cards into one atlas at the highest texel density that fits."""
+"""Pack rectangles into one atlas."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ _STEPS = 24  # of the bisection; the density is then exact to a thousandth of a 
 
 
 def pack(sizes: Doubles, limit: int, density_limit: float, padding: int) -> tuple[Ints, float, tuple[int, int]]:
-    """Place rectangles on shelves, highest first.
+    """Place rectangles on shelves, highest first, at the highest texel density that fits.
 
     sizes: (C, 2) float64, width and height in the tree's unit. limit: the atlas's greatest side in texels, a power of
     two. density_limit: texels per unit that are enough. padding: texels kept free on every side of a card.
@@ -38,6 +38,23 @@ def pack(sizes: Doubles, limit: int, density_limit: float, padding: int) -> tupl
         origins = _shelves(sizes, middle, padding, limit, limit)
         low, high, best = (low, middle, best) if origins is None else (middle, high, origins)
     return best, low, (limit, limit)
+
+
+def pack_cells(sizes: Ints, limit: int) -> tuple[Ints, tuple[int, int]] | None:
+    """Place rectangles of whole cells on shelves of the width that leaves least empty.
+
+    sizes: (C, 2) int32, columns and rows. limit: the greatest side. Returns the top left cell of each (C, 2) int32 and
+    the atlas's (width, height), its width a power of two; None where they do not fit.
+    """
+    best: tuple[Ints, tuple[int, int]] | None = None
+    for width in (1 << bits for bits in range(limit.bit_length())):
+        origins = _shelves(sizes.astype(np.float64), 1.0, 0, width, limit)
+        if origins is None:
+            continue
+        height = int((origins[:, 1] + sizes[:, 1]).max())
+        if best is None or width * height < best[1][0] * best[1][1]:
+            best = origins, (width, height)
+    return best
 
 
 def texel_sizes(sizes: Doubles, density: float) -> Ints:
