@@ -208,7 +208,7 @@ class IndirectTextures:
     A billboard's own frame is (right, down, away), in hash cells from the corner of its box.
 
     billboards: (K, 20) float32, frame, box and place in the hash texture of each billboard.
-    shapes: (S, 12) float32, size, relief and images of each leaf shape.
+    shapes: (S, 16) float32, size, relief, images and thresholds of each leaf shape.
     hash_texture: (h, w) uint32, the list of each cell: offset and count. lists_texture: (h, w) uint16, leaves of a
     billboard, in each list ordered front to back.
     placements: (h, w, 4) uint32, pose of each leaf. ambient: (h, w, 4) uint8, the part of the sky that the corners of

@@ -14,6 +14,9 @@ from treebake.model import Bytes, IndirectTextures, Texture
 _SRGB8_ALPHA8 = 0x8C43
 _CORNERS = 36  # vertices of a box
 
+# Width of a hash cell on screen in pixels: nothing is looked up at the first, everything from the second on.
+FADE = (0.75, 1.5)
+
 
 class IndirectBillboards:
     """The tables on the graphics card; the images go through block compression, as an engine would keep them."""
@@ -48,7 +51,7 @@ class IndirectBillboards:
         shader["from_clip"] = column_major(np.linalg.inv(view.to_clip))
         shader["window"] = (view.size, view.size)
         if "fade" in shader:
-            shader["fade"] = (1.5, 4.0)
+            shader["fade"] = FADE
         gl.disable(gl.BLEND)
         gl.enable(gl.CULL_FACE)
         gl.cull_face = "front"  # a viewer inside a box sees its far sides only

@@ -57,6 +57,43 @@ float dither(int seed) {
     return (float(h >> 8) + 0.5) / 16777216.0;
 }
 
+struct Surface {
+    vec3 albedo;
+    vec3 normal;  // in the billboard's frame, on the viewer's side
+};
+
+// From a normal map's (right, up, towards the viewer) to (right, down, away).
+vec3 unpacked(vec2 bump) {
+    return vec3(bump.x, -bump.y, -sqrt(max(1.0 - dot(bump, bump), 0.0)));
+}
+
+Surface leaf_surface(Billboard board, Hit hit, vec3 way) {
+    Leaf leaf = read_leaf(hit.placement, board.size);
+    vec3 normal = unpacked(textureLod(leaf_normal, hit.uv, hit.lod).rg * 2.0 - 1.0);
+    if (leaf.mirrored) normal.x = -normal.x;
+    if (leaf.rod) {
+        vec2 facing = normalize((way * leaf.frame).xz);
+        normal.xz = vec2(normal.x * facing.y + normal.z * facing.x, normal.z * facing.y - normal.x * facing.x);
+    }
+    return Surface(textureLod(leaf_color, hit.uv, hit.lod).rgb, leaf.frame * (hit.behind ? -normal : normal));
+}
+
+// Whether the low-resolution texture covers what the lists' missing entries would. It holds all entries; if layers hide
+// each other by chance, a share of them lets the same share of the light's logarithm through.
+bool meets_far(Billboard board, vec3 point, float share, float sample_width, bool behind, out Surface surface) {
+    if (any(lessThan(point.xy, vec2(0.0))) || any(greaterThan(point.xy, board.size.xy))) return false;
+    vec2 texels = vec2(textureSize(far_color, 0));
+    vec2 cells = vec2(textureSize(hash_texture, 0));
+    float most = log2(texels.x / cells.x);  // a texel a cell
+    float lod = clamp(log2(sample_width) + most, 0.0, most);
+    vec2 inner = 0.5 * exp2(ceil(lod)) * cells / texels;
+    vec2 uv = (vec2(board.origin) + clamp(point.xy, inner, board.size.xy - inner)) / cells;
+    vec4 texel = textureLod(far_color, uv, lod);
+    vec3 normal = unpacked(textureLod(far_normal, uv, lod).rg * 2.0 - 1.0);
+    surface = Surface(texel.rgb, behind ? -normal : normal);
+    return 1.0 - pow(1.0 - texel.a, 1.0 - share) > dither(2 * billboard + 1);
+}
+
 void main() {
     Billboard board = read_billboard(billboard);
     vec2 place = (floor(gl_FragCoord.xy) + gl_SamplePosition) / window * 2.0 - 1.0;  // makes the shader run per sample
@@ -69,25 +106,23 @@ void main() {
     vec2 spread = vec2(length(unprojected(vec3(place, 1.0) + half_pixel) - far),
                        length(unprojected(vec3(place, -1.0) + half_pixel) - near)) * length(board.turn[0]);
 
-    Hit hit = look_up(board, start, way, spread, 1.0, 0.5);
-    if (hit.placement < 0) discard;
-    Leaf leaf = read_leaf(hit.placement, board.size);
-    vec4 texel = textureLod(leaf_color, hit.uv, 0.0);
-    vec3 bump = textureLod(leaf_normal, hit.uv, 0.0).rgb * 2.0 - 1.0;
-    vec3 normal = vec3(bump.xy, sqrt(max(1.0 - dot(bump.xy, bump.xy), 0.0)));
-    if (leaf.mirrored) normal.x = -normal.x;
-    normal = vec3(normal.x, -normal.y, -normal.z);
-    if (leaf.rod) {
-        vec3 go = way * leaf.frame;
-        vec2 facing = normalize(vec2(go.x, go.z));
-        normal = vec3(normal.x * facing.y - normal.z * -facing.x, normal.y, -normal.x * facing.x + normal.z * facing.y);
+    // The shader's level of detail: how much of the lists is looked up, by the width of a cell on screen.
+    float at_plane = (board.plane - start.z) / way.z;
+    float pixels = 0.5 / mix(spread.y, spread.x, clamp(at_plane, 0.0, 1.0));
+    float share = clamp((pixels - fade.x) / (fade.y - fade.x), 0.0, 1.0);
+    Hit hit = look_up(board, start, way, spread, share, dither(2 * billboard));
+    Surface surface;
+    if (hit.placement >= 0) {
+        surface = leaf_surface(board, hit, way);
+    } else if (share == 1.0 || !meets_far(board, start + at_plane * way, share, 0.5 / pixels, way.z < 0.0, surface)) {
+        discard;
+    } else {
+        hit.along = at_plane;
     }
-    if (hit.behind) normal = -normal;
-    normal = normalize((leaf.frame * normal) * board.turn);  // transposed: back to the tree's axes
-    vec3 position = near + hit.along * (far - near);
-    vec4 clip = to_clip * vec4(position, 1.0);
+    vec4 clip = to_clip * vec4(near + hit.along * (far - near), 1.0);
     gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;
-    color = vec4(lit(texel.rgb, normal), 1.0);
+    vec3 normal = normalize(surface.normal * board.turn);  // transposed: back to the tree's axes
+    color = vec4(lit(surface.albedo, normal), 1.0);
     depth = vec4(clip.w, 0.0, 0.0, 1.0);
 }
 #endif

@@ -5,7 +5,7 @@
 // in halves of its own height.
 
 uniform sampler2D billboards;      // 5 texels a row: see `Billboard`
-uniform sampler2D shapes;          // 3 texels a row: see `Shape`
+uniform sampler2D shapes;          // 4 texels a row: box and kind; image of the front; of the back; thresholds
 uniform usampler2D hash_texture;
 uniform usampler2D lists_texture;
 uniform usampler2D placements;
@@ -13,7 +13,8 @@ uniform sampler2D leaf_color;
 uniform sampler2D leaf_normal;
 uniform float largest;
 
-const int MOST_CELLS = 256;  // that a ray walks through
+const int MOST_CANDIDATES = 1024;  // leaves of a billboard whose boxes one ray meets
+const int MOST_ENTRIES = 4096;     // list entries and cells between two of them
 const int RELIEF_STEPS = 3;  // the height is read that often; each reading halves the error of a bent leaf, or better
 
 struct Billboard {
@@ -33,16 +34,16 @@ struct Leaf {
     vec3 half_;   // half the size of the leaf's box, in halves of its height
     bool rod;     // a twig, which turns its face to every viewer
     bool mirrored;
-    vec4 front;   // place of the image in texture coordinates: corner, size
-    vec4 back;
+    int shape;
 };
 
 struct Hit {
-    float along;   // the ray's parameter; beyond 1e29 nothing was hit
-    int placement;
-    vec2 uv;       // in the leaves texture
-    float away;    // behind the front, in cells
-    bool behind;   // whether the leaf's back is seen
+    float along;    // the ray's parameter
+    int placement;  // -1 where nothing is hit
+    vec2 uv;        // in the leaves texture
+    float lod;      // mip level there
+    float away;     // behind the front, in cells
+    bool behind;    // whether the leaf's back is seen
 };
 
 Billboard read_billboard(int index) {
@@ -82,101 +83,137 @@ Leaf read_leaf(int number, vec3 size) {
                                      : vec4(part, rest);
     int shape = int(word.w >> 16);
     vec4 a = texelFetch(shapes, ivec2(0, shape), 0);
-    vec3 half_ = a.xyz * vec3(narrowing, 1.0, 1.0);
-    return Leaf(place * size, rotation(quaternion), scale, half_, a.w > 0.5, (word.w >> 15 & 1u) > 0u,
-                texelFetch(shapes, ivec2(1, shape), 0), texelFetch(shapes, ivec2(2, shape), 0));
+    return Leaf(place * size, rotation(quaternion), scale, a.xyz * vec3(narrowing, 1.0, 1.0), a.w > 0.5,
+                (word.w >> 15 & 1u) > 0u, shape);
 }
 
-// Where a ray meets a leaf: false where it passes by, or where the image is clear.
-// `spread`: half a sample's width on the ray's way at parameter 1 and at 0, in cells.
-bool meets_leaf(Leaf leaf, vec3 start, vec3 way, vec2 spread, float threshold, inout Hit hit) {
-    vec3 from = (start - leaf.center) * leaf.frame / leaf.scale;  // row vector times matrix: into the leaf's frame
-    vec3 go = way * leaf.frame / leaf.scale;
-    float along, level = 0.0;
+// A ray in a leaf's frame, and where it meets the leaf's plane.
+struct Meeting {
+    vec3 from;
+    vec3 go;
+    float along;
     vec2 place;
-    bool behind = go.z < 0.0;  // moving against `away`: from the back
+    bool behind;
+};
+
+// Where a ray meets a leaf's plane; false where it passes the leaf by.
+bool meets_plane(Leaf leaf, vec3 start, vec3 way, out Meeting at) {
+    at.from = (start - leaf.center) * leaf.frame / leaf.scale;  // row vector times matrix: into the leaf's frame
+    at.go = way * leaf.frame / leaf.scale;
+    at.behind = at.go.z < 0.0 && !leaf.rod;  // it moves against `away`
+    vec2 margin = vec2(0.0);
     if (leaf.rod) {
-        vec2 facing = vec2(go.x, go.z) / max(length(vec2(go.x, go.z)), 1e-12);
-        along = -dot(vec2(from.x, from.z), facing) / max(dot(vec2(go.x, go.z), facing), 1e-12);
-        vec3 at = from + along * go;
-        place = vec2(dot(vec2(at.x, at.z), vec2(facing.y, -facing.x)), at.y);
-        behind = false;
+        vec2 facing = at.go.xz / max(length(at.go.xz), 1e-12);
+        at.along = -dot(at.from.xz, facing) / max(dot(at.go.xz, facing), 1e-12);
+        vec3 point = at.from + at.along * at.go;
+        at.place = vec2(dot(point.xz, vec2(facing.y, -facing.x)), point.y);
     } else {
-        if (abs(go.z) < 1e-6 * length(go)) return false;
-        along = -from.z / go.z;
-        place = from.xy + along * go.xy;
+        float rise = abs(at.go.z) > 1e-6 * length(at.go) ? at.go.z : 1e-6 * length(at.go);
+        at.along = -at.from.z / rise;
+        at.place = at.from.xy + at.along * at.go.xy;
+        margin = leaf.half_.z * min(abs(at.go.xy / rise), 4.0);  // the leaf bulges out of its plane by so much
     }
-    if (along >= hit.along) return false;
+    return all(lessThanEqual(abs(at.place), leaf.half_.xy + margin));
+}
+
+// Whether a leaf's image is opaque where a ray meets it; the hit is then moved there.
+// spread: distance of samples, at the ray's parameters 1 and 0, in cells.
+bool meets_image(Leaf leaf, Meeting at, vec2 spread, inout Hit hit) {
+    vec4 image = texelFetch(shapes, ivec2(at.behind ? 2 : 1, leaf.shape), 0);
     vec2 size = leaf.half_.xy;
-    vec2 margin = leaf.rod ? vec2(0.0) : leaf.half_.z * min(abs(go.xy / go.z), 4.0);
-    if (any(greaterThan(abs(place), size + margin))) return false;
-    vec4 image = behind ? leaf.back : leaf.front;
-    if (image.z == 0.0) return false;
     vec2 flip = vec2(leaf.mirrored ? -1.0 : 1.0, 1.0);
-    vec2 texels = image.zw * vec2(textureSize(leaf_color, 0));
-    // Texels per sample: a sample's width grows with the distance; the derivative of uv by the sample's place.
-    float width = mix(spread.y, spread.x, along) / leaf.scale;
-    float lod = clamp(log2(width * max(texels.x / size.x, texels.y / size.y) / 2.0), 0.0, 4.0);
-    vec2 inner = 0.5 * exp2(ceil(lod)) / vec2(textureSize(leaf_color, 0));
+    vec2 atlas = vec2(textureSize(leaf_color, 0));
+    // The derivative of the texture coordinates by the sample's place: a sample grows with the distance.
+    float width = mix(spread.y, spread.x, at.along) / leaf.scale;
+    vec2 texels = image.zw * atlas / (2.0 * size);
+    float lod = clamp(log2(width * max(texels.x, texels.y)), 0.0, 4.0);
+    vec4 thresholds = texelFetch(shapes, ivec2(3, leaf.shape), 0);  // at which mips 1 to 4 cover as much as mip 0
+    float threshold = lod < 1.0 ? mix(0.5, thresholds.x, lod)
+                    : lod < 2.0 ? mix(thresholds.x, thresholds.y, lod - 1.0)
+                    : lod < 3.0 ? mix(thresholds.y, thresholds.z, lod - 2.0)
+                                : mix(thresholds.z, thresholds.w, lod - 3.0);
+    vec2 inner = min(0.5 * exp2(ceil(lod)) / atlas, image.zw / 2.0);
+    float along = at.along;
+    vec2 place = at.place;
     vec2 uv;
     for (int i = 0; i <= RELIEF_STEPS; ++i) {
         vec2 unit = clamp(flip * place / size * 0.5 + 0.5, 0.0, 1.0);
-        uv = image.xy + clamp(unit * image.zw, min(inner, image.zw / 2.0), max(image.zw - inner, image.zw / 2.0));
-        if (leaf.rod || leaf.half_.z == 0.0 || i == RELIEF_STEPS) break;
+        uv = image.xy + clamp(unit * image.zw, inner, image.zw - inner);
+        if (leaf.rod || i == RELIEF_STEPS) break;
         float height = (textureLod(leaf_normal, uv, 0.0).b * 2.0 - 1.0) * leaf.half_.z;  // towards the front's viewer
-        along = (-height - from.z) / go.z;
-        place = from.xy + along * go.xy;
+        along = (-height - at.from.z) / at.go.z;
+        place = at.from.xy + along * at.go.xy;
     }
-    if (along >= hit.along || along < 0.0 || any(greaterThan(abs(place), size))) return false;
-    if (textureLod(leaf_color, uv, lod).a < threshold) return false;
-    hit.along = along;
-    hit.uv = uv;
-    hit.away = start.z + along * way.z;
-    hit.behind = behind;
-    return true;
+    bool opaque = image.z > 0.0 && along > 0.0 && along < hit.along && all(lessThanEqual(abs(place), size))
+                  && textureLod(leaf_color, uv, lod).a >= threshold;
+    if (opaque) {
+        hit.along = along;
+        hit.uv = uv;
+        hit.lod = lod;
+        hit.behind = at.behind;
+    }
+    return opaque;
 }
 
 // Walks a ray through the cells of a billboard and returns the nearest leaf that it meets.
-// share: of each list that is looked up, 0..1, from the viewer's end.
-Hit look_up(Billboard board, vec3 start, vec3 way, vec2 spread, float share, float threshold) {
-    Hit hit = Hit(1e30, -1, vec2(0.0), 0.0, false);
+// share: of each list that is looked up, 0..1, from the viewer's end. dither: 0..1, which way part of an entry is rounded.
+Hit look_up(Billboard board, vec3 start, vec3 way, vec2 spread, float share, float dither) {
+    Hit hit = Hit(1e30, -1, vec2(0.0), 0.0, 0.0, false);
     // Where the ray is in the box.
     vec3 inverse_ = 1.0 / mix(way, vec3(1e-12), lessThan(abs(way), vec3(1e-12)));
-    vec3 enter = -start * inverse_;
-    vec3 leave = (board.size - start) * inverse_;
-    float entry = max(max(min(enter.x, leave.x), min(enter.y, leave.y)), max(min(enter.z, leave.z), 0.0));
-    float exit_ = min(min(max(enter.x, leave.x), max(enter.y, leave.y)), max(enter.z, leave.z));
-    if (board.size.z == 0.0) entry = exit_ = max(enter.z, 0.0);
-    if (entry > exit_) return hit;
-    vec2 at = start.xy + entry * way.xy;
+    vec3 one = -start * inverse_;
+    vec3 other = (board.size - start) * inverse_;
+    vec3 enter = min(one, other);
+    vec3 leave = max(one, other);
+    float entry = max(max(enter.x, enter.y), max(enter.z, 0.0));
+    float exit_ = min(min(leave.x, leave.y), leave.z);
+    if (board.size.z == 0.0) exit_ = entry = enter.z;
     ivec2 cells = ivec2(board.size.xy);
-    ivec2 cell = clamp(ivec2(floor(at)), ivec2(0), cells - 1);
+    ivec2 cell = clamp(ivec2(floor(start.xy + entry * way.xy)), ivec2(0), cells - 1);
     ivec2 step_ = ivec2(sign(way.xy));
     vec2 next = (vec2(cell + max(step_, 0)) - start.xy) * inverse_.xy;
     bool front = way.z > 0.0;
     int width = textureSize(lists_texture, 0).x;
-    for (int walked = 0; walked < MOST_CELLS; ++walked) {
-        uint texel = texelFetch(hash_texture, board.origin + cell, 0).r;
-        int count = int(texel & 1023u);
-        int offset = int(texel >> 10);
-        int wanted = int(ceil(share * float(count)));
-        for (int i = 0; i < wanted; ++i) {
-            int number = offset + (front ? i : count - 1 - i);
-            int placement = board.first + int(texelFetch(lists_texture, in_rows(number, width), 0).r);
-            Leaf leaf = read_leaf(placement, board.size);
-            // The list is ordered by centres: once no later leaf can reach before the hit, the walk ends.
-            if (hit.placement >= 0) {
-                float nearest = front ? leaf.center.z - board.reach : -leaf.center.z - board.reach;
-                if (nearest >= (front ? hit.away : -hit.away)) break;
+
+    uint texel = texelFetch(hash_texture, board.origin + cell, 0).r;
+    int entered = 0;  // entries of the cell's list that were looked up
+    bool inside = entry <= exit_;
+    for (int candidates = 0; inside && candidates < MOST_CANDIDATES; ++candidates) {
+        // Find the next leaf whose box the ray meets. Images are read in the outer loop only: processors that run many
+        // rays in step would else read one for every entry.
+        Leaf leaf;
+        Meeting at;
+        int placement = -1;
+        for (int walked = 0; walked < MOST_ENTRIES; ++walked) {
+            int count = int(texel & 1023u);
+            if (entered >= int(share * float(count) + dither)) {
+                float turn = min(next.x, next.y);
+                int axis = next.x < next.y ? 0 : 1;
+                cell[axis] += step_[axis];
+                next[axis] += abs(inverse_[axis]);
+                inside = turn <= exit_ && hit.along > turn && cell[axis] >= 0 && cell[axis] < cells[axis];
+                if (!inside) break;
+                texel = texelFetch(hash_texture, board.origin + cell, 0).r;
+                entered = 0;
+                continue;
             }
-            if (meets_leaf(leaf, start, way, spread, threshold, hit)) hit.placement = placement;
+            int number = int(texel >> 10) + (front ? entered : count - 1 - entered);
+            ++entered;
+            int found = board.first + int(texelFetch(lists_texture, in_rows(number, width), 0).r);
+            leaf = read_leaf(found, board.size);
+            // Lists are ordered by centres: once no later leaf can reach before the hit, the rest is left.
+            float nearest = (front ? leaf.center.z : -leaf.center.z) - board.reach;
+            if (hit.placement >= 0 && nearest >= (front ? hit.away : -hit.away)) {
+                entered = count;
+            } else if (meets_plane(leaf, start, way, at)) {
+                placement = found;
+                break;
+            }
         }
-        float turn = min(next.x, next.y);
-        if (turn > exit_ || hit.along <= turn) break;
-        int axis = next.x < next.y ? 0 : 1;
-        cell[axis] += step_[axis];
-        next[axis] += abs(inverse_[axis]);
-        if (cell[axis] < 0 || cell[axis] >= cells[axis]) break;
+        if (placement >= 0 && meets_image(leaf, at, spread, hit)) {
+            hit.placement = placement;
+            hit.away = start.z + hit.along * way.z;
+        }
     }
     return hit;
 }

@@ -169,4 +169,4 @@ def _shape_rows(shapes: Shapes, images: LeafImages) -> Floats:
     """The shapes table; FORMAT.md names the columns. Sizes are over half the shape's height."""
     halves = shapes.halves / shapes.halves[:, 1:2]
     halves[shapes.is_twig] = 1
-    return np.column_stack([halves, shapes.is_twig, images.front, images.back]).astype(np.float32)
+    return np.column_stack([halves, shapes.is_twig, images.front, images.back, images.thresholds]).astype(np.float32)

@@ -16,6 +16,8 @@ from treebake.stages.indirect.shapes import Shapes, faces_of
 
 BLOCK = 16  # texels: images start and end on its multiples, so that four mips keep them apart
 _SUPERSAMPLE = 4
+_MIPS = 4  # that are read
+_LEAST = 0.02  # threshold: below it compression's errors would show
 _SHRINK = 0.9  # of all images, until they fit
 _THUMB = 16  # texels each way at which images are compared
 
@@ -24,12 +26,14 @@ _THUMB = 16  # texels each way at which images are compared
 class LeafImages:
     """color: sRGB with coverage as alpha. normal: right and up in RG, height in B. front, back: (S, 4) float32, the
     place of each shape's box in texture coordinates, corner and size; a back that is never seen has no size.
+    thresholds: (S, 4) float32, the alpha above which mips 1 to 4 of the front cover what mip 0 covers above 0.5.
     """
 
     color: Texture
     normal: Texture
     front: Floats
     back: Floats
+    thresholds: Floats
 
 
 def draw_leaf_images(
@@ -57,7 +61,20 @@ def draw_leaf_images(
         normal=Texture("leaf_normal", normals),
         front=places[:count],
         back=back.astype(np.float32),
+        thresholds=_thresholds(coverage, origins, extent)[image[:count]],
     )
+
+
+def _thresholds(coverage: Floats, origins: Ints, extent: Doubles) -> Floats:
+    """The alpha that mips 1 to 4 of each image exceed on the area on which mip 0 exceeds 0.5: (images, 4) float32."""
+    result = np.full((len(origins), _MIPS), 0.5, np.float32)
+    for row, ((x, y), (width, height)) in enumerate(zip(origins.tolist(), extent.astype(int).tolist(), strict=True)):
+        alpha = coverage[y : y + -(-height // BLOCK) * BLOCK, x : x + -(-width // BLOCK) * BLOCK]
+        covered = (alpha > 0.5).mean()
+        for mip in range(_MIPS):
+            alpha = (alpha[::2, ::2] + alpha[1::2, ::2] + alpha[::2, 1::2] + alpha[1::2, 1::2]) / 4
+            result[row, mip] = np.clip(np.quantile(alpha, 1 - covered), _LEAST, 1 - _LEAST)
+    return result
 
 
 def _pack(sizes: Doubles, atlas: int) -> tuple[Doubles, Ints, tuple[int, int]]:
