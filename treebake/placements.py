@@ -3,12 +3,12 @@
 Four words of 32 bits, from the least significant bit:
 
     word 0   x 16, y 16                     position in the billboard's box, 0..65535 from side to side
-    word 1   z 16, scale 16                 scale: largest * 2^(-n / 4096)
-    word 2   a 13, b 13, narrowing 6        narrowing: the width's factor, 2^(-n / 8)
+    word 1   z 16, scale 12 + 4             scale: largest * (1 + m / 4096) * 2^-e
+    word 2   a 13, b 13, narrowing 3 + 3    narrowing: the width's factor, (1 + m / 8) * 2^-e
     word 3   c 13, left out 2, mirrored 1, shape 14, two bits 0
 
 a, b, c are the quaternion without its largest part, which is positive and is left out: `left out` says which of
-(x, y, z, w) it is. They run from -1/sqrt(2) to 1/sqrt(2), which is 0..8191. No leaf is off by more than 0.02 degrees.
+(x, y, z, w) it is. They run from -1/sqrt(2) to 1/sqrt(2), which is 0..8191. No leaf is off by more than 0.04 degrees.
 """
 
 from dataclasses import dataclass
@@ -22,8 +22,7 @@ from treebake.model import Doubles, Ints, Words
 SHAPES = 1 << 14  # that the bits can tell apart
 
 _POSITION = 65535
-_SCALE_STEPS, _SCALE_MOST = 4096, 65535
-_NARROW_STEPS, _NARROW_MOST = 8, 63
+_SCALE_BITS, _NARROW_BITS = (12, 4), (3, 3)  # mantissa, exponent
 _PART = 8191
 
 
@@ -47,8 +46,7 @@ class Placements:
 def pack(placed: Placements) -> Words:
     """Encode placements: (N, 4) uint32. Values are rounded to the nearest that the bits can hold, or clipped."""
     x, y, z = np.rint(np.clip(placed.positions, 0, 1) * _POSITION).T
-    scale = np.clip(np.rint(-_SCALE_STEPS * np.log2(placed.scales)), 0, _SCALE_MOST)
-    narrowing = np.clip(np.rint(-_NARROW_STEPS * np.log2(placed.narrowings)), 0, _NARROW_MOST)
+    scale, narrowing = _small_float(placed.scales, *_SCALE_BITS), _small_float(placed.narrowings, *_NARROW_BITS)
     quaternion = Rotation.from_matrix(placed.rotations).as_quat()  # x, y, z, w
     left_out = np.abs(quaternion).argmax(axis=1)
     rows = np.arange(len(quaternion))
@@ -78,11 +76,23 @@ def unpack(words: Words) -> Placements:
     return Placements(
         positions=np.stack([one & 0xFFFF, one >> 16, two & 0xFFFF], axis=1) / _POSITION,
         rotations=Rotation.from_quat(quaternion).as_matrix(),
-        scales=np.exp2(-(two >> 16) / _SCALE_STEPS),
-        narrowings=np.exp2(-(three >> 26) / _NARROW_STEPS),
+        scales=_float(two >> 16, *_SCALE_BITS),
+        narrowings=_float(three >> 26, *_NARROW_BITS),
         shape=(four >> 16).astype(np.int32),
         mirrored=(four >> 15 & 1).astype(bool),
     )
+
+
+def _small_float(values: Doubles, mantissa: int, exponent: int) -> NDArray[np.int64]:
+    """Values in (0, 1] as a few bits of mantissa below a few of exponent, nearest first; too small ones are raised."""
+    fraction, power = np.frexp(np.clip(values, 2.0 ** (1 - (1 << exponent)), 1))  # fraction in 0.5..1
+    steps = np.rint((2 * fraction - 1) * (1 << mantissa)).astype(np.int64)  # may carry into the exponent, which is right
+    return (1 - power.astype(np.int64) << mantissa) + np.where(steps >> mantissa, -(1 << mantissa), steps)
+
+
+def _float(bits: NDArray[np.int64], mantissa: int, exponent: int) -> Doubles:
+    values: Doubles = (1 + (bits & (1 << mantissa) - 1) / (1 << mantissa)) * np.exp2(-(bits >> mantissa & (1 << exponent) - 1))
+    return values
 
 
 _KEPT = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # the parts that stay, by the one left out

@@ -14,7 +14,8 @@ uniform sampler2D leaf_normal;
 uniform float largest;
 
 const int MOST_CANDIDATES = 1024;  // leaves of a billboard whose boxes one ray meets
-const int MOST_ENTRIES = 4096;     // list entries and cells between two of them
+const int MOST_ENTRIES = 4096;     // list entries between two of them
+const int MOST_CELLS = 4096;       // cells between two of those
 const int RELIEF_STEPS = 3;  // the height is read that often; each reading halves the error of a bent leaf, or better
 
 struct Billboard {
@@ -55,8 +56,15 @@ Billboard read_billboard(int index) {
     return Billboard(transpose(mat3(a.xyz, b.xyz, c.xyz)), vec3(a.w, b.w, c.w), d.xyz, d.w, ivec2(e.xy), int(e.z), e.w);
 }
 
-ivec2 in_rows(int number, int width) {
-    return ivec2(number % width, number / width);
+// Where a numbered entry of the lists or placements lies: 1024 to a row.
+ivec2 in_rows(int number) {
+    return ivec2(number & 1023, number >> 10);
+}
+
+// (1 + mantissa) * 2^-exponent of a few bits, the exponent above.
+float small_float(uint bits, int mantissa) {
+    uint exponent = bits >> mantissa;
+    return uintBitsToFloat((127u - exponent) << 23 | (bits & (1u << mantissa) - 1u) << (23 - mantissa));
 }
 
 mat3 rotation(vec4 q) {
@@ -70,10 +78,10 @@ mat3 rotation(vec4 q) {
 }
 
 Leaf read_leaf(int number, vec3 size) {
-    uvec4 word = texelFetch(placements, in_rows(number, textureSize(placements, 0).x), 0);
+    uvec4 word = texelFetch(placements, in_rows(number), 0);
     vec3 place = vec3(word.x & 0xFFFFu, word.x >> 16, word.y & 0xFFFFu) / 65535.0;
-    float scale = largest * exp2(-float(word.y >> 16) / 4096.0);
-    float narrowing = exp2(-float(word.z >> 26) / 8.0);
+    float scale = largest * small_float(word.y >> 16, 12);
+    float narrowing = small_float(word.z >> 26, 3);
     vec3 part = (vec3(word.z & 0x1FFFu, word.z >> 13 & 0x1FFFu, word.w & 0x1FFFu) / 8191.0 - 0.5) * sqrt(2.0);
     float rest = sqrt(max(1.0 - dot(part, part), 0.0));
     uint left_out = word.w >> 13 & 3u;
@@ -145,7 +153,7 @@ bool meets_image(Leaf leaf, Meeting at, vec2 spread, inout Hit hit) {
         place = at.from.xy + along * at.go.xy;
     }
     bool opaque = image.z > 0.0 && along > 0.0 && along < hit.along && all(lessThanEqual(abs(place), size))
-                  && textureLod(leaf_color, uv, lod).a >= threshold;
+                  && (leaf.rod || textureLod(leaf_color, uv, lod).a >= threshold);
     if (opaque) {
         hit.along = along;
         hit.uv = uv;
@@ -173,10 +181,11 @@ Hit look_up(Billboard board, vec3 start, vec3 way, vec2 spread, float share, flo
     ivec2 step_ = ivec2(sign(way.xy));
     vec2 next = (vec2(cell + max(step_, 0)) - start.xy) * inverse_.xy;
     bool front = way.z > 0.0;
-    int width = textureSize(lists_texture, 0).x;
 
     uint texel = texelFetch(hash_texture, board.origin + cell, 0).r;
-    int entered = 0;  // entries of the cell's list that were looked up
+    int count = int(texel & 1023u);  // of the cell's list
+    int wanted = int(share * float(count) + dither);
+    int entered = 0;  // entries that were looked up
     bool inside = entry <= exit_;
     for (int candidates = 0; inside && candidates < MOST_CANDIDATES; ++candidates) {
         // Find the next leaf whose box the ray meets. Images are read in the outer loop only: processors that run many
@@ -185,26 +194,26 @@ Hit look_up(Billboard board, vec3 start, vec3 way, vec2 spread, float share, flo
         Meeting at;
         int placement = -1;
         for (int walked = 0; walked < MOST_ENTRIES; ++walked) {
-            int count = int(texel & 1023u);
-            if (entered >= int(share * float(count) + dither)) {
+            for (int crossed = 0; entered >= wanted && inside && crossed < MOST_CELLS; ++crossed) {
                 float turn = min(next.x, next.y);
                 int axis = next.x < next.y ? 0 : 1;
                 cell[axis] += step_[axis];
                 next[axis] += abs(inverse_[axis]);
                 inside = turn <= exit_ && hit.along > turn && cell[axis] >= 0 && cell[axis] < cells[axis];
-                if (!inside) break;
-                texel = texelFetch(hash_texture, board.origin + cell, 0).r;
+                texel = texelFetch(hash_texture, board.origin + clamp(cell, ivec2(0), cells - 1), 0).r;
+                count = int(texel & 1023u);
+                wanted = int(share * float(count) + dither);
                 entered = 0;
-                continue;
             }
+            if (!inside) break;
             int number = int(texel >> 10) + (front ? entered : count - 1 - entered);
             ++entered;
-            int found = board.first + int(texelFetch(lists_texture, in_rows(number, width), 0).r);
+            int found = board.first + int(texelFetch(lists_texture, in_rows(number), 0).r);
             leaf = read_leaf(found, board.size);
             // Lists are ordered by centres: once no later leaf can reach before the hit, the rest is left.
             float nearest = (front ? leaf.center.z : -leaf.center.z) - board.reach;
             if (hit.placement >= 0 && nearest >= (front ? hit.away : -hit.away)) {
-                entered = count;
+                entered = wanted;
             } else if (meets_plane(leaf, start, way, at)) {
                 placement = found;
                 break;

@@ -121,8 +121,9 @@ class _Sides:
         count = len(self.shapes.exemplars)
         density = np.sqrt(np.bincount(self.shape, texels, count) / np.bincount(self.shape, areas, count))
         sides = 2 * self.shapes.halves[:, :2]
+        density = np.where(density > 0, density, leaf_texels / np.sqrt(sides.prod(axis=1)))
         # Around a twig lies a whole tile of bark, so its texels are not square and their area says nothing.
-        density = np.where((density > 0) & ~self.shapes.is_twig, density, leaf_texels / sides.max(axis=1))
+        density = np.where(self.shapes.is_twig, leaf_texels / sides.max(axis=1), density)
         return np.maximum(np.rint(sides * density[:, None]), 1)
 
     def thumbs(self) -> Floats:
