@@ -1,7 +1,8 @@
-"""What block compression leaves of an image: it is encoded and decoded, so that quality is measured on what engines keep.
+"""What block compression leaves of an image and what it costs, so that quality and size are those of what engines keep.
 
-BC3, BC4 and BC5 in numpy (endpoints on the principal axis of each block's colours, then the nearest level). PyPI's
-encoder was tried first: etcpak 0.9.15 crashes when it decodes, and its output depends on the processor's instructions.
+Images are encoded and decoded again: BC3, BC4 and BC5 in numpy (endpoints on the principal axis of each block's
+colours, then the nearest level). PyPI's encoder was tried first: etcpak 0.9.15 crashes when it decodes, and its output
+depends on the processor's instructions.
 """
 
 import numpy as np
@@ -22,6 +23,16 @@ def through_bc4(pixels: Bytes) -> Bytes:
     low, high = blocks.min(axis=1, keepdims=True), blocks.max(axis=1, keepdims=True)
     step = np.maximum(high - low, 1) / 7
     return _image(low + np.rint((blocks - low) / step) * step, pixels.shape)
+
+
+def block_bytes(width: int, height: int, block: int) -> int:
+    """Bytes of an image with all its mips, at `block` bytes per 4 x 4 texels: 16 for BC3 and BC5, 8 for BC4."""
+    total = 0
+    while True:
+        total += -(-width // 4) * -(-height // 4) * block
+        if max(width, height) == 1:
+            return total
+        width, height = max(width // 2, 1), max(height // 2, 1)
 
 
 def _colors(pixels: Bytes) -> Bytes:

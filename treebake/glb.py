@@ -17,6 +17,7 @@ from treebake.model import AlphaMode, Floats, Ints, Material, Mesh, Texture
 
 _VERTICES, _INDICES = 34962, 34963  # bufferView targets
 _UINT16, _UINT32, _FLOAT = 5123, 5125, 5126  # component types
+_TABLES = {"u1": 5121, "u2": _UINT16, "u4": _UINT32, "f4": _FLOAT}
 _SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}  # linear, trilinear, repeat
 _UINT16_VERTICES = 65535  # index 65535 itself is reserved for primitive restart
 
@@ -37,7 +38,8 @@ def encode_glb(nodes: Sequence[tuple[str, Mesh]], extras: Json | None = None) ->
     """Encode (name, mesh) pairs as one GLB: a glTF node and mesh each, one primitive per used material.
 
     A mesh without faces is left out. Materials and textures are written once each, shared by object identity. extras:
-    JSON data for the root's `extras`. O(vertices + faces) per primitive.
+    data for the root's `extras`; in it an array (N, 1 to 4) of uint8, uint16, uint32 or float32 becomes the index of an
+    accessor that holds it, and a Texture the index of a glTF texture. O(vertices + faces) per primitive.
     """
     writer = _Writer()
     for name, mesh in nodes:
@@ -104,6 +106,25 @@ class _Writer:
         }
         return self.append("accessors", accessor)
 
+    def resolved(self, value: Any) -> Any:
+        """Extras as JSON: arrays and textures are stored, and stand as their indices."""
+        if isinstance(value, dict):
+            return {key: self.resolved(item) for key, item in value.items()}
+        if isinstance(value, np.ndarray):
+            return self.table_accessor(value)
+        return self.texture(value, with_alpha=value.has_alpha) if isinstance(value, Texture) else value
+
+    def table_accessor(self, values: np.ndarray) -> int:
+        count, width = values.shape
+        kind = values.dtype.str[1:]
+        accessor = {
+            "bufferView": self.view(values.astype(f"<{kind}").tobytes()),
+            "componentType": _TABLES[kind],
+            "count": count,
+            "type": "SCALAR" if width == 1 else f"VEC{width}",
+        }
+        return self.append("accessors", accessor)
+
     def view(self, data: bytes, target: int | None = None) -> int:
         view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)}
         self.binary += data + bytes(-len(data) % 4)
@@ -143,6 +164,7 @@ class _Writer:
         return self.textures[key]
 
     def to_bytes(self, extras: Json | None) -> bytes:
+        stored = self.resolved(extras)
         scene = {"nodes": list(range(len(self.arrays["nodes"])))} if "nodes" in self.arrays else {}
         document = {
             "asset": {"version": "2.0", "generator": f"treebake {__version__}"},
@@ -152,8 +174,8 @@ class _Writer:
         }
         if self.binary:
             document["buffers"] = [{"byteLength": len(self.binary)}]
-        if extras:
-            document["extras"] = extras
+        if stored:
+            document["extras"] = stored
         text = json.dumps(document, separators=(",", ":"), ensure_ascii=False, allow_nan=False).encode()
         chunks = _chunk(b"JSON", text + b" " * (-len(text) % 4))
         if self.binary:

@@ -6,9 +6,11 @@ In memory an image is a numpy array, row 0 on top: (h, w, 4) uint8 as stored in 
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 - the name its documentation uses
+from numpy.typing import NDArray
 
 from treebake.errors import InputError, WorkspaceError
 from treebake.files import atomic
@@ -47,28 +49,38 @@ def decode_image(data: bytes, name: str) -> Bytes:
             raise InputError(f"the image {name} cannot be decoded; export it again as PNG or JPEG") from None
 
 
-def encode_png(pixels: Bytes) -> bytes:
-    """Encode (h, w, 3 or 4) uint8 as PNG, alpha unassociated as glTF wants it; the same pixels give the same bytes.
+def encode_png(pixels: Bytes | NDArray[np.uint16]) -> bytes:
+    """Encode (h, w, 3 or 4) uint8 or grey (h, w) uint16 as PNG, alpha unassociated as glTF wants it.
 
-    Raises WorkspaceError where there is no room for a temporary file.
+    The same pixels give the same bytes. Raises WorkspaceError where there is no room for a temporary file.
     """
+    return _pixels_only(_encode(pixels.reshape(*pixels.shape[:2], -1), "image.png"))
+
+
+def encode_floats(table: Floats) -> bytes:
+    """Encode a table (h, w, 4) float32 as EXR, to the bit."""
+    return _encode(table, "table.exr")
+
+
+def _encode(pixels: NDArray[Any], name: str) -> bytes:
     height, width, channels = pixels.shape
-    spec = oiio.ImageSpec(width, height, channels, oiio.UINT8)
+    kinds = {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float32": oiio.FLOAT}
+    spec = oiio.ImageSpec(width, height, channels, kinds[pixels.dtype.name])
     spec.attribute("oiio:UnassociatedAlpha", 1)
     spec.attribute("png:compressionLevel", 6)
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "image.png"
+        path = Path(folder) / name
         target = oiio.ImageOutput.create(str(path))
         written = target.open(str(path), spec) and target.write_image(np.ascontiguousarray(pixels)) and target.close()
         error = target.geterror()  # a full disk is told here only
         if error or not written:
             raise WorkspaceError(f"{path} cannot be written ({_line(error)}); free some space")
-        return _pixels_only(path.read_bytes())
+        return path.read_bytes()
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=8)
 def encode_texture(texture: Texture, *, with_alpha: bool) -> bytes:
-    """Encode a texture as PNG, with or without its alpha; kept, because an atlas goes into a GLB and beside it."""
+    """Encode a texture as PNG, with or without its alpha; kept, because it goes into GLBs and beside them."""
     return encode_png(texture.pixels if with_alpha else texture.pixels[..., :3])
 
 

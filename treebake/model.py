@@ -213,7 +213,7 @@ class IndirectTextures:
     billboard, in each list ordered front to back.
     placements: (h, w, 4) uint32, pose of each leaf. ambient: (h, w, 4) uint8, the part of the sky that the corners of
     each leaf see (left top, right top, right bottom, left bottom), beside its placement.
-    largest: half the height of the largest leaf, in cells.
+    leaves: how many placements there are. largest: half the height of the largest leaf, in cells.
     leaf_color, leaf_normal: one image per shape and side; the second holds the normal's right and up in RG and the
     relief's height in B. far_color, far_normal: all billboards at `far_texels` a hash cell, for what is not looked up.
     """
@@ -224,6 +224,7 @@ class IndirectTextures:
     lists_texture: NDArray[np.uint16]
     placements: Words
     ambient: Bytes
+    leaves: int
     largest: float
     leaf_color: Texture
     leaf_normal: Texture
@@ -237,6 +238,7 @@ class BakedTree:
 
     name: str
     cloud: BillboardCloud
+    indirect: IndirectTextures | None  # None where there is no foliage
     trunk: Mesh
     source_triangles: int
     source_bounds: Floats  # (2, 3) float32

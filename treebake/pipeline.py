@@ -1,7 +1,7 @@
 """The order of the stages, on one screen.
 
-    load -> split -> twigs -> cluster             `cluster_tree`: a mesh file into the work folder
-            -> billboards, trunk -> write_asset   `bake_textures`: the work folder into the published one
+    load -> split -> twigs -> cluster, twice                `cluster_tree`: a mesh file into the work folder
+            -> billboards, indirect, trunk -> write_asset   `bake_textures`: the work folder into the published one
 
 The verifier stands apart: it reads published files only.
 """
@@ -20,6 +20,7 @@ from treebake.model import BakedTree, BillboardCloud, Clusters, Floats, Mesh, Tr
 from treebake.settings import Settings
 from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
+from treebake.stages.indirect import indirect
 from treebake.stages.split import split
 from treebake.stages.trunk import TrunkReport, compare, trunk
 from treebake.stages.twigs import twigs
@@ -27,6 +28,8 @@ from treebake.verify import Report, verify, write_report
 from treebake.workspace import Result, Workspace
 
 LOG = logging.getLogger("treebake")
+
+_INDIRECT_CLUSTER = "indirect_cluster"  # the name of the second clustering's result
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +48,7 @@ class Clustered:
     split: Result[Tree]
     tree: Result[Tree]  # after the thin twigs moved into the foliage
     clusters: Result[Clusters] | None  # None where there is no foliage
+    indirect_clusters: Result[Clusters] | None
 
 
 @dataclass(frozen=True)
@@ -64,9 +68,13 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
         mesh = read_mesh(path, settings.load)
     parts = work.run(split, settings.split, Result.of(mesh))
     tree = work.run(twigs, settings.twigs, parts)
-    clusters = work.run(cluster, settings.cluster, tree.part("leaves")) if tree.value.leaves.count else None
+    clusters = indirect_clusters = None
+    if tree.value.leaves.count:
+        leaves = tree.part("leaves")
+        clusters = work.run(cluster, settings.cluster, leaves)
+        indirect_clusters = work.run(cluster, settings.indirect_cluster, leaves, name=_INDIRECT_CLUSTER)
     work.keep("source", Source(path.stem, mesh.triangles, mesh.bounds))  # last: make takes its date for the folder's
-    return Clustered(parts, tree, clusters)
+    return Clustered(parts, tree, clusters, indirect_clusters)
 
 
 def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Baked:
@@ -78,15 +86,18 @@ def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Bake
     command = f"treebake cluster TREE -o {work.folder}"
     source: Source = work.read("source", command).value
     tree = work.read("twigs", command)
+    layers = None
     if tree.value.leaves.count:
-        clusters = work.read("cluster", command, tree.part("leaves"))
-        cloud = work.run(billboards, settings.textures, tree, clusters).value
+        leaves = tree.part("leaves")
+        cloud = work.run(billboards, settings.textures, tree, work.read("cluster", command, leaves)).value
+        clusters = work.read(_INDIRECT_CLUSTER, command, leaves)
+        layers = work.run(indirect, settings.indirect, tree, clusters).value
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
     stem = work.run(trunk, settings.trunk, tree.part("trunk")).value
     folder = out / source.name if out else work.folder
     with work.announce("asset"):
-        write_asset(BakedTree(source.name, cloud, stem, source.triangles, source.bounds), folder)
+        write_asset(BakedTree(source.name, cloud, layers, stem, source.triangles, source.bounds), folder)
     pieces = tree.value.foliage.select(tree.value.leaves.is_twig[tree.value.leaves.face_leaf])
     return Baked(folder, compare(work.read("split", command).value.trunk, stem, pieces))
 

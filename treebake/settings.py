@@ -22,12 +22,18 @@ from treebake.errors import SettingsError
 from treebake.meshes import LoadSettings
 from treebake.stages.billboards import BillboardSettings
 from treebake.stages.cluster import ClusterSettings
+from treebake.stages.indirect import IndirectSettings
 from treebake.stages.split import SplitSettings
 from treebake.stages.trunk import TrunkSettings
 from treebake.stages.twigs import TwigSettings
 from treebake.verify import VerifySettings
 
 Tables = Mapping[str, Any]  # as TOML nests them: table -> key -> value
+
+
+def _few_thick_planes() -> ClusterSettings:
+    # The indirect textures show leaves off their plane, so planes may be few; compact ones have little empty space.
+    return ClusterSettings(billboards=278, angle_weight=1.0, compactness=0.5)
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,8 @@ class Settings:
     twigs: TwigSettings = field(default_factory=TwigSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
     textures: BillboardSettings = field(default_factory=BillboardSettings)
+    indirect_cluster: ClusterSettings = field(default_factory=_few_thick_planes)
+    indirect: IndirectSettings = field(default_factory=IndirectSettings)
     trunk: TrunkSettings = field(default_factory=TrunkSettings)
     verify: VerifySettings = field(default_factory=VerifySettings)
 
@@ -67,7 +75,7 @@ def load_settings(paths: Sequence[Path] = (), overrides: Tables | None = None) -
         merged = _merge(merged, tables)
     if budget := merged.get("trunk", {}).get("triangles"):  # it is the twigs' too, where they have none of their own
         merged = _merge({"twigs": {"trunk_triangles": budget}}, merged)
-    return msgspec.convert(merged, Settings)
+    return msgspec.convert(_merge(msgspec.to_builtins(Settings()), merged), Settings)
 
 
 def parse_assignments(assignments: Sequence[str]) -> dict[str, Any]:
@@ -95,7 +103,7 @@ def keys() -> dict[str, Key]:
     return {
         name: Key(name, hints[item.name], default, comments.get(item.name, ""))
         for table, settings in _tables().items()
-        for hints, comments, defaults in [(get_type_hints(settings), _comments(settings), settings())]
+        for hints, comments, defaults in [(get_type_hints(settings), _comments(settings), getattr(Settings(), table))]
         for item in fields(settings)
         for name, default in [(f"{table}.{item.name}", getattr(defaults, item.name))]
     }

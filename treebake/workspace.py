@@ -26,7 +26,7 @@ from treebake.files import atomic
 
 T = TypeVar("T")
 _PACKAGE = Path(__file__).parent
-_GROUND = ("model.py", "geometry.py", "images.py", "gl", "tubes")  # part of every version
+_GROUND = ("model.py", "geometry.py", "flatten.py", "packing.py", "placements.py", "images.py", "gl", "tubes")  # part of every version
 _DAMAGED = (OSError, KeyError, ValueError, TypeError, AttributeError, zipfile.BadZipFile)
 
 
@@ -67,12 +67,13 @@ class Workspace:
     force: bool = False  # run every stage, whatever its stamp
     announce: Announce = field(default=lambda _stage, *, skipped=False: nullcontext(skipped))
 
-    def run(self, stage: Callable[..., T], settings: Any, *inputs: Result[Any]) -> Result[T]:
+    def run(self, stage: Callable[..., T], settings: Any, *inputs: Result[Any], name: str = "") -> Result[T]:
         """Return stage(*inputs, settings), from the work folder where it is up to date, else run and kept.
 
-        Raises whatever the stage raises, and WorkspaceError where the result cannot be written.
+        name: under which it is kept, the stage's own by default. Raises whatever the stage raises, and WorkspaceError where the result cannot be written.
         """
-        name, path = stage.__name__, self._path(stage.__name__)
+        name = name or stage.__name__
+        path = self._path(name)
         made_of = [result.digest for result in inputs]
         stamp = _digest([name, made_of, asdict(settings), _code(stage.__module__)])
         with suppress(*_DAMAGED):  # an absent or damaged file is simply made again

@@ -33,12 +33,24 @@ class Level:
 
 
 @dataclass(frozen=True)
+class Indirect:
+    """The indirect textures in `file`, beside that file's standard meshes. gpu_bytes: tables and block-compressed images
+    with their mips.
+    """
+
+    file: str
+    billboards: int
+    leaves: int
+    gpu_bytes: int
+
+
+@dataclass(frozen=True)
 class Image:
     """A loose copy of a texture, for engines. size: width and height in texels."""
 
     file: str
     size: tuple[int, int]
-    color_space: str  # "sRGB" or "linear"
+    color_space: str  # "sRGB", "linear", or "data" for tables, which must not be filtered or converted
 
 
 @dataclass(frozen=True)
@@ -50,6 +62,7 @@ class Manifest:
     name: str
     source: Source
     levels: Annotated[tuple[Level, ...], msgspec.Meta(min_length=1)]
+    indirect: Indirect | None  # null where there is no foliage
     textures: tuple[Image, ...]
 
 

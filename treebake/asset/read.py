@@ -27,7 +27,8 @@ def read_asset(folder: Path) -> Asset:
         raise AssetError(f"{folder} is no published asset: {path.name} cannot be read ({error.strerror})") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise AssetError(f"{path} is damaged ({error}); bake the tree again") from error
-    for file in [level.file for level in manifest.levels] + [image.file for image in manifest.textures]:
+    files = [level.file for level in manifest.levels] + [image.file for image in manifest.textures]
+    for file in [*files, *([manifest.indirect.file] if manifest.indirect else [])]:
         if not (folder / file).is_file():
             raise AssetError(f"{folder / file} is named by the manifest and is missing; bake the tree again")
     return Asset(folder, manifest)

@@ -1,16 +1,18 @@
-"""Write a baked tree as files: NAME_LOD0.glb, textures/ and manifest.json."""
+"""Write a baked tree as files: NAME_LOD0.glb, NAME.glb, textures/ and manifest.json."""
 
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from treebake import __version__
-from treebake.asset.manifest import FORMAT, Image, Level, Manifest, Source
+from treebake.asset.indirect import IMAGES, TABLES, indirect_bytes, write_indirect
+from treebake.asset.manifest import FORMAT, Image, Indirect, Level, Manifest, Source
 from treebake.errors import WorkspaceError
 from treebake.files import atomic
 from treebake.glb import write_glb
-from treebake.images import encode_texture
-from treebake.model import BakedTree, Mesh, Texture
+from treebake.images import encode_floats, encode_png, encode_texture
+from treebake.model import BakedTree, IndirectTextures, Mesh, Texture
 
 
 def write_asset(tree: BakedTree, folder: Path) -> Manifest:
@@ -24,7 +26,18 @@ def write_asset(tree: BakedTree, folder: Path) -> Manifest:
         raise WorkspaceError(f"{tree.name} has neither foliage nor trunk left; there is nothing to publish")
     level = folder / f"{tree.name}_LOD0.glb"
     write_glb(level, nodes)
-    images = tuple(_write_image(folder, tree.name, texture, space) for texture, space in _maps(tree.cloud.mesh))
+    images = [_write_image(folder, tree.name, texture, space) for texture, space in _maps(tree.cloud.mesh)]
+    indirect = None
+    if tree.indirect is not None:
+        full = folder / f"{tree.name}.glb"
+        write_indirect(full, nodes, tree.indirect)
+        images += _write_indirect_images(folder, tree.name, tree.indirect)
+        indirect = Indirect(
+            file=full.name,
+            billboards=len(tree.indirect.billboards),
+            leaves=tree.indirect.leaves,
+            gpu_bytes=indirect_bytes(tree.indirect),
+        )
     manifest = Manifest(
         format=FORMAT,
         generator=f"treebake {__version__}",
@@ -41,7 +54,8 @@ def write_asset(tree: BakedTree, folder: Path) -> Manifest:
                 min_height=0,
             ),
         ),
-        textures=images,
+        indirect=indirect,
+        textures=tuple(images),
     )
     with atomic(folder / "manifest.json") as file:
         file.write(msgspec.json.format(msgspec.json.encode(manifest), indent=2) + b"\n")
@@ -62,6 +76,21 @@ def _write_image(folder: Path, name: str, texture: Texture, space: str) -> Image
     with atomic(path) as file:
         file.write(encode_texture(texture, with_alpha=texture.has_alpha))
     return Image(path.relative_to(folder).as_posix(), (width, height), space)
+
+
+def _write_indirect_images(folder: Path, name: str, textures: IndirectTextures) -> list[Image]:
+    """The tables and images once more as loose files: floats as EXR, all others as the 16-bit words of a grey PNG."""
+    spaces = {image: "sRGB" if image.endswith("color") else "linear" for image in IMAGES}
+    written = [_write_image(folder, name, getattr(textures, image), space) for image, space in spaces.items()]
+    for table in TABLES:
+        values = getattr(textures, table)
+        is_float = values.dtype == np.float32
+        pixels = values.reshape(len(values), -1, 4) if is_float else values.view(np.uint16).reshape(len(values), -1)
+        path = folder / "textures" / f"{name}_{table}.{'exr' if is_float else 'png'}"
+        with atomic(path) as file:
+            file.write(encode_floats(pixels) if is_float else encode_png(pixels))
+        written.append(Image(path.relative_to(folder).as_posix(), (pixels.shape[1], len(pixels)), "data"))
+    return written
 
 
 def _corners(tree: BakedTree) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

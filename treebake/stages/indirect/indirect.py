@@ -77,6 +77,7 @@ def indirect(tree: Tree, clusters: Clusters, settings: IndirectSettings) -> Indi
         lists_texture=lists,
         placements=placements,
         ambient=np.full_like(placements, 255, dtype=np.uint8),
+        leaves=leaves.count,
         largest=largest / side,
         leaf_color=images.color,
         leaf_normal=images.normal,

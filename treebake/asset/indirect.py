@@ -1,0 +1,123 @@
+"""The indirect textures in a GLB: its root's `extras.treebake`. FORMAT.md describes it, the types here are its schema."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from treebake.asset.manifest import FORMAT
+from treebake.compression import block_bytes
+from treebake.errors import AssetError, InputError
+from treebake.formats.gltf_file import GltfFile
+from treebake.glb import write_glb
+from treebake.model import IndirectTextures, Mesh, Texture
+
+TABLES = {  # name: values of one texel, texels of one row (0: of the image's own size)
+    "billboards": (4, 5),
+    "shapes": (4, 4),
+    "hash_texture": (1, 0),
+    "lists_texture": (1, 1024),
+    "placements": (4, 1024),
+    "ambient": (4, 1024),
+}
+IMAGES = ("leaf_color", "leaf_normal", "far_color", "far_normal")
+_NUMBERS = {"billboards": "f4", "shapes": "f4", "hash_texture": "u4", "lists_texture": "u2", "placements": "u4"}
+
+
+@dataclass(frozen=True)
+class IndirectExtras:
+    """Where the tables and images lie: accessors of the tables, glTF textures of the images."""
+
+    billboards: int
+    shapes: int
+    hash_texture: int
+    hash_width: int  # texels of a row of the hash texture
+    lists_texture: int
+    placements: int
+    ambient: int
+    leaves: int  # placements in use, twig pieces among them
+    largest: float  # half the height of the largest leaf, in hash cells
+    leaf_color: int
+    leaf_normal: int
+    far_color: int
+    far_normal: int
+
+
+@dataclass(frozen=True)
+class Extras:
+    """The value of the root's `extras.treebake`."""
+
+    format: int
+    indirect: IndirectExtras
+
+
+def write_indirect(path: Path, nodes: list[tuple[str, Mesh]], textures: IndirectTextures) -> None:
+    """Write standard meshes and the indirect textures into one GLB. Raises WorkspaceError."""
+    tables = {name: getattr(textures, name).reshape(-1, width) for name, (width, _) in TABLES.items()}
+    images = {name: getattr(textures, name) for name in IMAGES}
+    values = {**tables, **images, "hash_width": textures.hash_texture.shape[1], "largest": textures.largest}
+    values["leaves"] = textures.leaves
+    ordered = {field.name: values[field.name] for field in fields(IndirectExtras)}
+    write_glb(path, nodes, {"treebake": {"format": FORMAT, "indirect": ordered}})
+
+
+def read_indirect(path: Path) -> IndirectTextures:
+    """Read the indirect textures of a GLB, checked so far that a lookup stays inside the tables.
+
+    Raises AssetError where they are missing, of an unknown format or damaged.
+    """
+    try:
+        file = GltfFile(path)
+        extras = msgspec.convert(file.json["extras"]["treebake"], Extras)
+        if extras.format != FORMAT:
+            raise AssetError(f"{path} is of format {extras.format}, and this treebake reads {FORMAT}; bake the tree again")
+        where = extras.indirect
+        tables = {name: _table(file, where, name) for name in TABLES}
+        found: Any = {name: file.texture(getattr(where, name)) for name in IMAGES}
+        textures = IndirectTextures(**tables, **found, leaves=where.leaves, largest=where.largest)
+    except (OSError, InputError, KeyError, IndexError, TypeError, ValueError, msgspec.ValidationError) as error:
+        raise AssetError(f"{path} holds no usable indirect textures ({error}); bake the tree again") from error
+    if damage := _damage(textures):
+        raise AssetError(f"{path} is damaged: {damage}; bake the tree again")
+    return textures
+
+
+def indirect_bytes(textures: IndirectTextures) -> int:
+    """Bytes on the graphics card: tables as they are; colours BC3, normals BC5 and heights BC4, with all their mips."""
+    tables = sum(getattr(textures, name).nbytes for name in TABLES)
+    blocks = {"leaf_color": 16, "leaf_normal": 16 + 8, "far_color": 16, "far_normal": 16}
+    sizes = {name: getattr(textures, name).pixels.shape[1::-1] for name in blocks}
+    return tables + sum(block_bytes(*sizes[name], block) for name, block in blocks.items())
+
+
+def _table(file: GltfFile, where: IndirectExtras, name: str) -> np.ndarray:
+    width, row = TABLES[name]
+    values = file.accessor(getattr(where, name))
+    if values.dtype.str[1:] != _NUMBERS.get(name, "u1") or values.shape[1] != width:
+        raise ValueError(f"table {name} has values of another kind")
+    if name in ("billboards", "shapes"):
+        return values.reshape(-1, width * row)
+    shape = (-1, row or where.hash_width, width) if width > 1 else (-1, row or where.hash_width)
+    return values.reshape(shape)
+
+
+def _damage(textures: IndirectTextures) -> str:
+    """What is wrong with the tables, or nothing."""
+    hashes = textures.hash_texture.astype(np.int64)
+    ends = (hashes >> 10) + (hashes & 1023)
+    boards = textures.billboards
+    sizes, origins, first = boards[:, 12:14], boards[:, 16:18], boards[:, 18]
+    images = [getattr(textures, name) for name in IMAGES]
+    checks = (
+        (all(isinstance(image, Texture) for image in images), "an image is missing"),
+        (np.isfinite(boards).all() and np.isfinite(textures.shapes).all(), "a table holds no numbers"),
+        (len(boards) > 0 and len(textures.shapes) > 0, "a table is empty"),
+        (ends.max(initial=0) <= textures.lists_texture.size, "a list leaves the lists texture"),
+        ((origins >= 0).all() and (origins + sizes <= hashes.shape[::-1]).all(), "a billboard leaves the hash texture"),
+        ((first >= 0).all() and first.max() < textures.placements.size // 4, "a billboard leaves the placements"),
+        ((textures.placements[..., 3] >> 16).max() < len(textures.shapes), "a placement has an unknown shape"),
+        (textures.ambient.shape[:2] == textures.placements.shape[:2], "there is not one ambient entry per placement"),
+    )
+    return next((what for sound, what in checks if not sound), "")
