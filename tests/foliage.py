@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from stems import empty
 
-from treebake.model import Clusters, Doubles, Leaves, Material, Mesh, Tree
 from treebake.flatten import plane_frames
+from treebake.model import Clusters, Doubles, Leaves, Material, Mesh, Tree
 
 GREEN = Material("leaf", base_color=(0.1, 0.5, 0.1, 1.0), double_sided=True)
 

@@ -10,12 +10,12 @@ from foliage import GREEN, leaf_tree, planes, random_leaves, rotation
 from stems import empty
 
 from treebake.errors import BudgetError, SettingsError
+from treebake.flatten import plane_frames
 from treebake.gl.draw import Drawing, Picture
 from treebake.gl.view import View
 from treebake.images import to_linear
 from treebake.model import AlphaMode, BillboardCloud, Clusters, Doubles, Material, Mesh, Texture, Tree
 from treebake.stages.billboards import BillboardSettings, billboards, silhouette
-from treebake.flatten import plane_frames
 from treebake.stages.billboards.silhouette import covered_area
 from treebake.stages.cluster import ClusterSettings, cluster
 

@@ -6,9 +6,9 @@ from foliage import leaf_tree, planes, random_leaves
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from treebake.flatten import FlatLeaves, flatten
 from treebake.model import Doubles
 from treebake.stages.billboards.cards import Cards, cut_cards
-from treebake.flatten import FlatLeaves, flatten
 
 SIZE = 0.2
 

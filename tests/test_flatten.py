@@ -6,8 +6,8 @@ from foliage import leaf_tree, planes, random_leaves, rotation
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from treebake.model import Doubles, Tree
 from treebake.flatten import FlatLeaves, flatten, plane_frames
+from treebake.model import Doubles, Tree
 
 AXES = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, -1, 0), (-1, 0, 0), (0, 0, -1)]
 

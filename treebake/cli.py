@@ -254,10 +254,12 @@ def verify(
         raise click.UsageError(f"judge either {asset} or --candidate {candidate}; leave one of them out")
     with terminal.announce("verify") as progress:
         found, folder = verify_asset(judged, source, report, settings, progress)
-    terminal.show({"report": str(folder), **as_dict(found)}, text=f"{format_table(found)}\n\nreport: {folder}")
-    for miss in found.misses:
+    facts = {"report": str(folder), "representations": {name: as_dict(of_one) for name, of_one in found.items()}}
+    terminal.show(facts, text=f"{format_table(found)}\n\n= invisible; report: {folder}")
+    misses = [f"{name.replace('_', ' ')}: {miss}" for name, of_one in found.items() for miss in of_one.misses]
+    for miss in misses:
         say(f"treebake: missed: {miss}")
-    sys.exit(1 if found.misses else 0)
+    sys.exit(1 if misses else 0)
 
 
 @cli.command(short_help="Say what is in a tree or an asset.")

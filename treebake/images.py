@@ -136,6 +136,30 @@ def normal_texels(normal: Floats, coverage: Floats) -> Bytes:
     return texels
 
 
+def mip_chain(pixels: Bytes, *, srgb: bool) -> list[Bytes]:
+    """A texture (h, w, 4) uint8 and its mips down to one texel, averaged 2 x 2 as a graphics driver does.
+
+    srgb: whether RGB is averaged in linear light. Of an odd side the last row or column is left out.
+    """
+    values: Floats = pixels.astype(np.float32) / np.float32(255)
+    if srgb:
+        values[..., :3] = to_linear(pixels[..., :3])
+    chain = [pixels]
+    while max(values.shape[:2]) > 1:
+        values = _halved(_halved(values, 0), 1)
+        color = to_srgb(values[..., :3]) if srgb else np.rint(values[..., :3] * 255).astype(np.uint8)
+        chain.append(np.dstack([color, np.rint(values[..., 3] * 255).astype(np.uint8)]))
+    return chain
+
+
+def _halved(values: Floats, axis: int) -> Floats:
+    count = values.shape[axis] // 2
+    if not count:
+        return values
+    pairs = np.moveaxis(values, axis, 0)[: 2 * count]
+    return np.asarray(np.moveaxis((pairs[::2] + pairs[1::2]) / 2, 0, axis), np.float32)
+
+
 def flip_error(reference: Floats, test: Floats) -> Floats:
     """LDR-FLIP error map of two linear (h, w, 3) float32 images at 67 pixels per degree: (h, w) float32 in 0..1."""
     result = oiio.ImageBufAlgo.FLIP_diff(_buffer(reference), _buffer(test), hdr=0)

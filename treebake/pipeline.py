@@ -24,7 +24,7 @@ from treebake.stages.indirect import indirect
 from treebake.stages.split import split
 from treebake.stages.trunk import TrunkReport, compare, trunk
 from treebake.stages.twigs import twigs
-from treebake.verify import Report, verify, write_report
+from treebake.verify import SCALE, CloseUp, Report, VerifySettings, close_ups, representations, verify, write_report
 from treebake.workspace import Result, Workspace
 
 LOG = logging.getLogger("treebake")
@@ -110,28 +110,52 @@ def inspect_tree(path: Path, settings: Settings) -> tuple[Mesh, Tree]:
 
 def verify_asset(
     candidate: Path, source: Path, report: Path | None, settings: Settings, progress: Callable[[int, int], None]
-) -> tuple[Report, Path]:
+) -> tuple[dict[str, Report], Path]:
     """Judge a published asset (its folder) or anyone's mesh file against its source, and write the report.
 
-    At each height the level is drawn that the manifest names for it. settings.load is about the source; a mesh file is
-    read as it is. The report goes into `report`, or else beside
-    what it judges. Returns it with its folder. Raises InputError, AssetError, GraphicsError, SettingsError and
-    WorkspaceError.
+    Of an asset every representation is judged: the cloud (at each height the level that the manifest names for it), the
+    same with a texture no larger than the indirect ones, and the indirect textures. settings.load is about the source;
+    a mesh file is read as it is. The report goes into `report`, or else beside what it judges. Returns a report per
+    representation, and the folder. Raises InputError, AssetError, GraphicsError, SettingsError and WorkspaceError.
     """
     mesh, tree = inspect_tree(source, settings)
     heights = {*settings.verify.heights, 256}  # 256 is what a quick run draws
     if candidate.is_dir():
         asset = read_asset(candidate)
         _warn_of_another_source(mesh, source, asset)
-        levels = {path: read_mesh(path) for path in asset.level_paths}
-        meshes = {height: levels[asset.level_for(height)] for height in heights}
+        judged = representations(asset, heights, settings.verify)
         folder = report or candidate / "report"
     else:
-        meshes = dict.fromkeys(heights, read_mesh(candidate))
+        judged = {"candidate": (dict.fromkeys(heights, read_mesh(candidate)), None)}
         folder = report or candidate.parent / f"{candidate.stem}_report"
-    found = verify(mesh, meshes, settings.verify, cache_folder(), trunk=tree.trunk, progress=progress)
+    close = _close_ups(tree, settings.verify)
+    found = {}
+    for number, (name, (meshes, layers)) in enumerate(judged.items()):
+
+        def advance(done: int, total: int, before: int = number) -> None:
+            progress(before * total + done, len(judged) * total)
+
+        found[name] = verify(
+            mesh,
+            meshes,
+            settings.verify,
+            cache_folder(),
+            indirect=layers,
+            trunk=tree.trunk,
+            close=close,
+            progress=advance,
+        )
     write_report(found, folder)
     return found, folder
+
+
+def _close_ups(tree: Tree, settings: VerifySettings) -> tuple[CloseUp, ...]:
+    """Where to look at the crown from close up: a third of the views; none where there are no leaves."""
+    leaves = ~tree.leaves.is_twig
+    if not leaves.any():
+        return ()
+    leaf = 2 * float(np.median(tree.leaves.radii[leaves]))
+    return close_ups(tree.foliage, leaf, settings.elevations, settings.azimuths)[SCALE]
 
 
 def _warn_of_another_source(mesh: Mesh, path: Path, asset: Asset) -> None:

@@ -86,12 +86,16 @@ def unpack(words: Words) -> Placements:
 def _small_float(values: Doubles, mantissa: int, exponent: int) -> NDArray[np.int64]:
     """Values in (0, 1] as a few bits of mantissa below a few of exponent, nearest first; too small ones are raised."""
     fraction, power = np.frexp(np.clip(values, 2.0 ** (1 - (1 << exponent)), 1))  # fraction in 0.5..1
-    steps = np.rint((2 * fraction - 1) * (1 << mantissa)).astype(np.int64)  # may carry into the exponent, which is right
+    steps = np.rint((2 * fraction - 1) * (1 << mantissa)).astype(
+        np.int64
+    )  # may carry into the exponent, which is right
     return (1 - power.astype(np.int64) << mantissa) + np.where(steps >> mantissa, -(1 << mantissa), steps)
 
 
 def _float(bits: NDArray[np.int64], mantissa: int, exponent: int) -> Doubles:
-    values: Doubles = (1 + (bits & (1 << mantissa) - 1) / (1 << mantissa)) * np.exp2(-(bits >> mantissa & (1 << exponent) - 1))
+    values: Doubles = (1 + (bits & (1 << mantissa) - 1) / (1 << mantissa)) * np.exp2(
+        -(bits >> mantissa & (1 << exponent) - 1)
+    )
     return values
 
 

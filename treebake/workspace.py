@@ -26,7 +26,16 @@ from treebake.files import atomic
 
 T = TypeVar("T")
 _PACKAGE = Path(__file__).parent
-_GROUND = ("model.py", "geometry.py", "flatten.py", "packing.py", "placements.py", "images.py", "gl", "tubes")  # part of every version
+_GROUND = (
+    "model.py",
+    "geometry.py",
+    "flatten.py",
+    "packing.py",
+    "placements.py",
+    "images.py",
+    "gl",
+    "tubes",
+)  # part of every version
 _DAMAGED = (OSError, KeyError, ValueError, TypeError, AttributeError, zipfile.BadZipFile)
 
 
@@ -70,7 +79,8 @@ class Workspace:
     def run(self, stage: Callable[..., T], settings: Any, *inputs: Result[Any], name: str = "") -> Result[T]:
         """Return stage(*inputs, settings), from the work folder where it is up to date, else run and kept.
 
-        name: under which it is kept, the stage's own by default. Raises whatever the stage raises, and WorkspaceError where the result cannot be written.
+        name: under which it is kept, the stage's own by default. Raises whatever the stage raises, and WorkspaceError
+        where the result cannot be written.
         """
         name = name or stage.__name__
         path = self._path(name)

@@ -1,4 +1,7 @@
-"""The indirect textures in a GLB: its root's `extras.treebake`. FORMAT.md describes it, the types here are its schema."""
+"""The indirect textures in a GLB: its root's `extras.treebake`.
+
+FORMAT.md describes it, and the types here are its schema.
+"""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -72,11 +75,13 @@ def read_indirect(path: Path) -> IndirectTextures:
         file = GltfFile(path)
         extras = msgspec.convert(file.json["extras"]["treebake"], Extras)
         if extras.format != FORMAT:
-            raise AssetError(f"{path} is of format {extras.format}, and this treebake reads {FORMAT}; bake the tree again")
+            raise AssetError(
+                f"{path} is of format {extras.format}, and this treebake reads {FORMAT}; bake the tree again"
+            )
         where = extras.indirect
-        tables = {name: _table(file, where, name) for name in TABLES}
-        found: Any = {name: file.texture(getattr(where, name)) for name in IMAGES}
-        textures = IndirectTextures(**tables, **found, leaves=where.leaves, largest=where.largest)
+        found: Any = {name: _table(file, where, name) for name in TABLES}
+        found |= {name: file.texture(getattr(where, name)) for name in IMAGES}
+        textures = IndirectTextures(**found, leaves=where.leaves, largest=where.largest)
     except (OSError, InputError, KeyError, IndexError, TypeError, ValueError, msgspec.ValidationError) as error:
         raise AssetError(f"{path} holds no usable indirect textures ({error}); bake the tree again") from error
     if damage := _damage(textures):
@@ -86,10 +91,11 @@ def read_indirect(path: Path) -> IndirectTextures:
 
 def indirect_bytes(textures: IndirectTextures) -> int:
     """Bytes on the graphics card: tables as they are; colours BC3, normals BC5 and heights BC4, with all their mips."""
-    tables = sum(getattr(textures, name).nbytes for name in TABLES)
-    blocks = {"leaf_color": 16, "leaf_normal": 16 + 8, "far_color": 16, "far_normal": 16}
-    sizes = {name: getattr(textures, name).pixels.shape[1::-1] for name in blocks}
-    return tables + sum(block_bytes(*sizes[name], block) for name, block in blocks.items())
+    total = sum(int(getattr(textures, name).nbytes) for name in TABLES)
+    for name, block in (("leaf_color", 16), ("leaf_normal", 16 + 8), ("far_color", 16), ("far_normal", 16)):
+        height, width = getattr(textures, name).pixels.shape[:2]
+        total += block_bytes(width, height, block)
+    return total
 
 
 def _table(file: GltfFile, where: IndirectExtras, name: str) -> np.ndarray:

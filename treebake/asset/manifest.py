@@ -34,8 +34,8 @@ class Level:
 
 @dataclass(frozen=True)
 class Indirect:
-    """The indirect textures in `file`, beside that file's standard meshes. gpu_bytes: tables and block-compressed images
-    with their mips.
+    """The indirect textures in `file`, beside that file's standard meshes. leaves: placements, twig pieces among them.
+    gpu_bytes: tables and block-compressed images with their mips.
     """
 
     file: str

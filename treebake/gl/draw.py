@@ -49,7 +49,7 @@ def renderer() -> str:
 
 
 class Drawing:
-    """A mesh on the graphics card, ready to be drawn from many views until `close`.
+    """A mesh, and billboards with indirect textures, on the graphics card, to be drawn from many views until `close`.
 
     Raises GraphicsError where there is no OpenGL, or a texture is larger than the driver takes.
     """
@@ -111,6 +111,8 @@ class Drawing:
                 self._cull(part.material)
                 self._counter["to_clip"] = column_major(view.to_clip)
                 self._count_array.render(vertices=3 * (part.last - part.first), first=3 * part.first)
+            if self._indirect is not None:
+                self._indirect.count(view)
         self._check()
         return float(_pixels(target.count, 0, 1).sum(dtype=np.float64))
 

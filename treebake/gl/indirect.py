@@ -8,14 +8,14 @@ import numpy as np
 from treebake.compression import through_bc3, through_bc4
 from treebake.gl.context import program
 from treebake.gl.view import View, column_major
-from treebake.images import to_linear, to_srgb
+from treebake.images import mip_chain
 from treebake.model import Bytes, IndirectTextures, Texture
 
 _SRGB8_ALPHA8 = 0x8C43
 _CORNERS = 36  # vertices of a box
 
 # Width of a hash cell on screen in pixels: nothing is looked up at the first, everything from the second on.
-FADE = (0.75, 1.5)
+FADE = (0.5, 1.0)
 
 
 class IndirectBillboards:
@@ -23,39 +23,48 @@ class IndirectBillboards:
 
     def __init__(self, gl: moderngl.Context, textures: IndirectTextures) -> None:
         self._gl, self._program = gl, program("indirect")
-        self.count = len(textures.billboards)
+        self._billboards = len(textures.billboards)
         self._largest = textures.largest
         tables = {
-            "billboards": (textures.billboards.reshape(self.count, -1, 4), "f4"),
+            "billboards": (textures.billboards.reshape(self._billboards, -1, 4), "f4"),
             "shapes": (textures.shapes.reshape(len(textures.shapes), -1, 4), "f4"),
             "hash_texture": (textures.hash_texture[..., None], "u4"),
             "lists_texture": (textures.lists_texture[..., None], "u2"),
             "placements": (textures.placements, "u4"),
         }
         self._textures = {name: self._table(*table) for name, table in tables.items()}
-        self._textures["leaf_color"] = self._image(_color_mips(textures.leaf_color), srgb=True)
-        self._textures["leaf_normal"] = self._image(_normal_mips(textures.leaf_normal), srgb=False)
-        self._textures["far_color"] = self._image(_color_mips(textures.far_color), srgb=True)
-        self._textures["far_normal"] = self._image(_normal_mips(textures.far_normal), srgb=False)
-        self._array = gl.vertex_array(self._program, [])
+        self._textures["leaf_color"] = self._image(_compressed_color(textures.leaf_color), srgb=True)
+        self._textures["leaf_normal"] = self._image(_compressed_data(textures.leaf_normal), srgb=False)
+        self._textures["far_color"] = self._image(_compressed_color(textures.far_color), srgb=True)
+        self._textures["far_normal"] = self._image(_compressed_data(textures.far_normal), srgb=False)
+        self._counter = program("indirect_count")
+        self._array, self._count_array = (gl.vertex_array(each, []) for each in (self._program, self._counter))
 
     def draw(self, view: View) -> None:
         """Draw all billboards into the framebuffer in use; depth is tested and written."""
-        gl, shader = self._gl, self._program
+        shader = self._program
         for unit, (name, texture) in enumerate(self._textures.items()):
             texture.use(unit)
-            if name in shader:
-                shader[name] = unit
+            shader[name] = unit
         shader["largest"] = self._largest
-        shader["to_clip"] = column_major(view.to_clip)
-        shader["from_clip"] = column_major(np.linalg.inv(view.to_clip))
+        shader["from_clip"] = column_major(np.asarray(np.linalg.inv(view.to_clip), np.float64))
         shader["window"] = (view.size, view.size)
-        if "fade" in shader:
-            shader["fade"] = FADE
-        gl.disable(gl.BLEND)
+        shader["fade"] = FADE
+        self._gl.disable(self._gl.BLEND)
+        self._boxes(self._array, view)
+
+    def count(self, view: View) -> None:
+        """Add 1 for every fragment of the billboards to the framebuffer in use."""
+        self._textures["billboards"].use(0)
+        self._counter["billboards"] = 0
+        self._boxes(self._count_array, view)
+
+    def _boxes(self, array: moderngl.VertexArray, view: View) -> None:
+        gl = self._gl
+        array.program["to_clip"] = column_major(view.to_clip)
         gl.enable(gl.CULL_FACE)
         gl.cull_face = "front"  # a viewer inside a box sees its far sides only
-        self._array.render(moderngl.TRIANGLES, vertices=_CORNERS * self.count)
+        array.render(moderngl.TRIANGLES, vertices=_CORNERS * self._billboards)
         gl.cull_face = "back"
 
     def release(self) -> None:
@@ -63,6 +72,7 @@ class IndirectBillboards:
         for texture in self._textures.values():
             texture.release()
         self._array.release()
+        self._count_array.release()
 
     def _table(self, values: Any, dtype: str) -> moderngl.Texture:
         height, width, channels = values.shape
@@ -82,25 +92,9 @@ class IndirectBillboards:
         return image
 
 
-def _color_mips(texture: Texture) -> list[Bytes]:
-    """BC3 mips, averaged in linear light."""
-    mips = [texture.pixels]
-    light = np.dstack([to_linear(texture.pixels[..., :3]), texture.pixels[..., 3] / 255]).astype(np.float32)
-    while min(light.shape[:2]) > 1:
-        light = _halved(light)
-        mips.append(np.dstack([to_srgb(light[..., :3]), np.rint(light[..., 3] * 255).astype(np.uint8)]))
-    return [through_bc3(mip) for mip in mips]
+def _compressed_color(texture: Texture) -> list[Bytes]:
+    return [through_bc3(mip) for mip in mip_chain(texture.pixels, srgb=True)]
 
 
-def _normal_mips(texture: Texture) -> list[Bytes]:
-    """BC5 mips of RG, BC4 mips of B."""
-    mips = [texture.pixels.astype(np.float32)]
-    while min(mips[-1].shape[:2]) > 1:
-        mips.append(_halved(mips[-1]))
-    return [np.dstack([through_bc4(np.rint(mip[..., :3]).astype(np.uint8)), mip[..., 3].astype(np.uint8)]) for mip in mips]
-
-
-def _halved(image: Any) -> Any:
-    rows, columns = (size // 2 * 2 for size in image.shape[:2])
-    image = image[:rows, :columns]
-    return (image[::2, ::2] + image[1::2, ::2] + image[::2, 1::2] + image[1::2, 1::2]) / 4
+def _compressed_data(texture: Texture) -> list[Bytes]:
+    return [through_bc4(mip) for mip in mip_chain(texture.pixels, srgb=False)]

@@ -9,9 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
-from treebake.model import Doubles, Ints, Mesh
+from treebake.model import Doubles, Ints, Longs, Mesh
 from treebake.tubes.ladder import Mask, find_ladder
-from treebake.tubes.surface import Longs, Surface, find_surface, scatter
+from treebake.tubes.surface import Surface, find_surface, scatter
 
 _SEAM = 1e-5  # texture coordinates farther apart than this are different
 

@@ -13,7 +13,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from treebake.geometry import components
-from treebake.tubes.surface import Longs, Surface, scatter
+from treebake.model import Longs
+from treebake.tubes.surface import Surface, scatter
 
 _CAP = 0.9  # least cosine between the axis of a closed tube and the normals of its cap
 

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from treebake.model import Doubles, Mesh
+from treebake.model import Doubles, Longs, Mesh
 from treebake.tubes.find import Rings, Tubes
 from treebake.tubes.ladder import Mask
 from treebake.tubes.plan import Plan
-from treebake.tubes.surface import Longs
 
 
 def loft(mesh: Mesh, tubes: Tubes, chosen: Plan) -> tuple[Mesh, Longs]:

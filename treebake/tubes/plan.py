@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from treebake.model import Doubles, Mesh
+from treebake.model import Doubles, Longs, Mesh
 from treebake.tubes.find import Tubes
-from treebake.tubes.surface import Longs
 
 _MOST_WIDER = 2.0  # a ring changes its width by no more than this factor to make up for lost neighbours
 

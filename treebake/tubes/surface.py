@@ -3,15 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from treebake.geometry import components
-from treebake.model import Doubles, Floats, Ints, Mesh
+from treebake.model import Doubles, Floats, Ints, Longs, Mesh
 
 _WELD = 1e-6  # vertices nearer than this part of the mesh's size are one
-
-Longs = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

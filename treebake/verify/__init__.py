@@ -1,19 +1,26 @@
 """The proof: draws a candidate next to its source as a stock glTF client does, and measures the difference."""
 
+from treebake.verify.cameras import CloseUp, close_ups
 from treebake.verify.figures import Figures
 from treebake.verify.protocol import Level, Report, Sample, VerifySettings, verify
+from treebake.verify.reference import SCALE
 from treebake.verify.report import as_dict, format_table, write_report
+from treebake.verify.representations import representations
 from treebake.verify.thresholds import failures
 
 __all__ = [
+    "SCALE",
+    "CloseUp",
     "Figures",
     "Level",
     "Report",
     "Sample",
     "VerifySettings",
     "as_dict",
+    "close_ups",
     "failures",
     "format_table",
+    "representations",
     "verify",
     "write_report",
 ]

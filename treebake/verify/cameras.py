@@ -1,4 +1,4 @@
-"""The views from which a tree is judged."""
+"""The views from which a tree is judged: from far enough to see it whole, and close up."""
 
 import math
 from collections.abc import Sequence
@@ -11,6 +11,8 @@ from treebake.model import Doubles, Mesh
 
 FIELD_OF_VIEW = 35.0  # degrees that the bounding sphere fills, from edge to edge
 MARGIN = 32  # pixels that the window is wider than the sphere, both sides together
+CLOSE_UP = 363  # pixels a side of a close-up, in which a leaf at the crown's edge is CLOSE_LEAF pixels long
+CLOSE_LEAF = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,34 +33,60 @@ class Camera:
 
         The picture is moved to the right by `shift` pixels through the projection; the camera stays where it is.
         """
-        elevation, azimuth = math.radians(self.elevation), math.radians(self.azimuth)
-        back = np.array(
-            [
-                math.cos(elevation) * math.sin(azimuth),
-                math.sin(elevation),
-                math.cos(elevation) * math.cos(azimuth),
-            ]
-        )
-        right = np.array([math.cos(azimuth), 0.0, -math.sin(azimuth)])  # level, and defined straight from above too
-        turn = np.stack([right, np.cross(back, right), back])
+        turn = _turn(self.elevation, self.azimuth)
         distance = self.radius / math.sin(math.radians(FIELD_OF_VIEW / 2))
-        to_eye = np.eye(4)
-        to_eye[:3, :3] = turn
-        to_eye[:3, 3] = -turn @ self.center - [0.0, 0.0, distance]
-
         size = height + MARGIN
         scale = height / size / math.tan(math.radians(FIELD_OF_VIEW / 2))
         # A candidate may be wider than the source's sphere; twice as wide is still seen whole.
         near, far = distance - 2 * self.radius, distance + 2 * self.radius
-        to_clip = np.array(
-            [
-                [scale, 0.0, -2 * shift / size, 0.0],
-                [0.0, scale, 0.0, 0.0],
-                [0.0, 0.0, (near + far) / (near - far), 2 * near * far / (near - far)],
-                [0.0, 0.0, -1.0, 0.0],
-            ]
-        )
-        return View(to_clip @ to_eye, size, near, far)
+        return _view(turn, self.center + distance * turn[2], scale, (near, far), size, shift)
+
+
+@dataclass(frozen=True, eq=False)
+class CloseUp:
+    """A direction to look from at the edge of a crown, at leaves as large as someone standing there sees them.
+
+    elevation, azimuth: as in Camera. edge: (3,) float64, the crown's nearest point near its middle line. leaf: length
+    of a leaf. depth: of what can be seen behind the edge. Lengths in the mesh's unit.
+    """
+
+    elevation: float
+    azimuth: float
+    edge: Doubles
+    leaf: float
+    depth: float
+
+    def view(self, height: int = CLOSE_UP, shift: float = 0.0) -> View:
+        """The square window of `height` pixels in which a leaf at the edge is CLOSE_LEAF pixels long."""
+        turn = _turn(self.elevation, self.azimuth)
+        scale = 1 / math.tan(math.radians(FIELD_OF_VIEW / 2))
+        distance = CLOSE_UP / 2 * scale * self.leaf / CLOSE_LEAF
+        eye = self.edge + distance * turn[2]
+        return _view(turn, eye, scale, (distance / 8, distance + self.depth), height, shift)
+
+
+def _turn(elevation: float, azimuth: float) -> Doubles:
+    """The world's axes in the eye's: rows right, up, back."""
+    up, around = math.radians(elevation), math.radians(azimuth)
+    back = np.array([math.cos(up) * math.sin(around), math.sin(up), math.cos(up) * math.cos(around)])
+    right = np.array([math.cos(around), 0.0, -math.sin(around)])  # level, and defined straight from above too
+    return np.stack([right, np.cross(back, right), back])
+
+
+def _view(turn: Doubles, eye: Doubles, scale: float, depths: tuple[float, float], size: int, shift: float) -> View:
+    to_eye = np.eye(4)
+    to_eye[:3, :3] = turn
+    to_eye[:3, 3] = -turn @ eye
+    near, far = depths
+    to_clip = np.array(
+        [
+            [scale, 0.0, -2 * shift / size, 0.0],
+            [0.0, scale, 0.0, 0.0],
+            [0.0, 0.0, (near + far) / (near - far), 2 * near * far / (near - far)],
+            [0.0, 0.0, -1.0, 0.0],
+        ]
+    )
+    return View(to_clip @ to_eye, size, near, far)
 
 
 def cameras(mesh: Mesh, elevations: Sequence[float], azimuths: int) -> tuple[Camera, ...]:
@@ -74,3 +102,22 @@ def cameras(mesh: Mesh, elevations: Sequence[float], azimuths: int) -> tuple[Cam
         for elevation in elevations
         for step in range(azimuths)
     )
+
+
+def close_ups(foliage: Mesh, leaf: float, elevations: Sequence[float], azimuths: int) -> tuple[CloseUp, ...]:
+    """Look at the edge of a crown from every elevation (degrees) at `azimuths` evenly spaced azimuths.
+
+    foliage: the crown, with at least one face. leaf: length of a leaf in its unit, above 0.
+    """
+    points = foliage.positions[np.unique(foliage.faces)].astype(np.float64)
+    center = foliage.bounds.astype(np.float64).mean(axis=0)
+    reach = float(np.linalg.norm(points - center, axis=1).max())
+    found = []
+    for elevation in elevations:
+        for azimuth in 360.0 * np.arange(azimuths) / azimuths:
+            right, up, back = _turn(elevation, azimuth)
+            aside = np.hypot((points - center) @ right, (points - center) @ up)
+            middle = points[aside <= max(2 * leaf, float(aside.min()))]
+            edge = center + back * float(((middle - center) @ back).max())
+            found.append(CloseUp(elevation, float(azimuth), edge, leaf, 2 * reach))
+    return tuple(found)

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from treebake.model import Doubles, Mesh
-from treebake.verify.metrics import Scores, draw_calls, gpu_bytes
+from treebake.model import Doubles
+from treebake.verify.cost import Cost
+from treebake.verify.metrics import Scores
 from treebake.verify.reference import Reference
 
 
@@ -35,8 +36,8 @@ class Figures:
     gpu_bytes: int
 
 
-def summed_up(scores: Scores, known: Reference, views: slice, mesh: Mesh | None, fragments: Doubles) -> Figures:
-    """Sum up the scores of a candidate (None: the empty scene) in some of the views of its reference.
+def summed_up(scores: Scores, known: Reference, views: slice, cost: Cost, fragments: Doubles) -> Figures:
+    """Sum up the scores of a candidate in some of the views of its reference.
 
     fragments: one for each of those views.
     """
@@ -54,9 +55,9 @@ def summed_up(scores: Scores, known: Reference, views: slice, mesh: Mesh | None,
         foliage_coverage=_ratio(max(scores.area.sum() - trunk, 0.0), known.area[views].sum() - trunk),
         depth_cm=float(scores.depth[seen].mean() * 100) if seen.any() else None,
         overdraw=_ratio(fragments.sum(), scores.area.sum()),
-        triangles=mesh.triangles if mesh else 0,
-        draw_calls=draw_calls(mesh) if mesh else 0,
-        gpu_bytes=gpu_bytes(mesh) if mesh else 0,
+        triangles=cost.triangles,
+        draw_calls=cost.draw_calls,
+        gpu_bytes=cost.gpu_bytes,
     )
 
 

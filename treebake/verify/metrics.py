@@ -11,7 +11,7 @@ from scipy.ndimage import correlate1d
 
 from treebake.gl.draw import Picture
 from treebake.images import flip_error, to_srgb
-from treebake.model import Doubles, Floats, Mesh
+from treebake.model import Doubles, Floats
 
 SKY, GREY = (0.55, 0.72, 0.92), (0.18, 0.18, 0.18)  # the backgrounds, linear light
 _FLIP_REACH = 16  # pixels that FLIP's filters look around them at 67 pixels per degree: 10, and some to spare
@@ -90,25 +90,6 @@ def similarity(a: Floats, b: Floats) -> Doubles:
     result: Doubles = (2 * x * y + c1) * (2 * (xy - x * y) + c2)
     result /= (x * x + y * y + c1) * (xx - x * x + yy - y * y + c2)
     return result
-
-
-def draw_calls(mesh: Mesh) -> int:
-    """Draw calls of a stock client: one for each material of each node."""
-    return len(np.unique(np.stack([mesh.face_node, mesh.face_material]), axis=1).T)
-
-
-def gpu_bytes(mesh: Mesh) -> int:
-    """Memory on the graphics card: each used texture once as RGBA8 with mipmaps, 32 bytes a vertex, 4 an index."""
-    used = [mesh.materials[i] for i in np.unique(mesh.face_material)]
-    textures = {id(image): image for material in used for image in (material.color_map, material.normal_map) if image}
-    texels = 0
-    for texture in textures.values():
-        height, width = texture.pixels.shape[:2]
-        texels += height * width
-        while max(height, width) > 1:
-            height, width = max(height // 2, 1), max(width // 2, 1)
-            texels += height * width
-    return 4 * texels + 32 * len(mesh.positions) + 4 * mesh.faces.size
 
 
 def _box(mask: NDArray[np.bool_]) -> tuple[slice, slice]:

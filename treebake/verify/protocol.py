@@ -1,7 +1,7 @@
 """The protocol: which views are drawn, what is measured in them, and how the figures are summed up."""
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,8 +12,9 @@ import numpy as np
 from treebake.errors import MeshError, SettingsError
 from treebake.gl.draw import Drawing, Picture, renderer
 from treebake.images import flip_error
-from treebake.model import Doubles, Floats, Mesh
-from treebake.verify.cameras import Camera, cameras
+from treebake.model import Doubles, Floats, IndirectTextures, Mesh
+from treebake.verify.cameras import CLOSE_UP, Camera, CloseUp, cameras
+from treebake.verify.cost import Cost, cost_of
 from treebake.verify.figures import Figures, summed_up
 from treebake.verify.metrics import SKY, Scores, over, score, score_all
 from treebake.verify.reference import SCALE, reference
@@ -21,6 +22,7 @@ from treebake.verify.thresholds import failures, parse
 
 LOG = logging.getLogger("treebake")
 
+REPRESENTATIONS = ("cloud", "cloud_same_bytes", "indirect")
 _QUICK_HEIGHT = 256
 
 
@@ -31,7 +33,8 @@ class VerifySettings:
     heights: tuple[int, ...] = (512, 256, 128, 64)  # heights of the source's bounding sphere, pixels, each 16 to 2048
     elevations: tuple[float, ...] = (0.0, 25.0, 60.0)  # degrees above the horizon, -90 to 90
     azimuths: int = 8  # evenly spaced views around the tree at each elevation, 1 or more
-    quick: bool = False  # only a third of the views, and only at 256 pixels
+    quick: bool = False  # only a third of the views, only at 256 pixels, and not close up
+    representations: tuple[str, ...] = ()  # of an asset: "cloud", "cloud_same_bytes", "indirect"; none given: all
     thresholds: dict[str, float | dict[str, float]] = field(default_factory=dict)
     # bounds on the candidate's figures: a figure's name, with _min or _max (default), to a value, or to one per height,
     # e.g. { flip_ratio = { 512 = 1.2, 256 = 1.0 }, coverage_min = 0.98 }
@@ -41,7 +44,7 @@ class VerifySettings:
 class Sample:
     """One view to look at, over the sky: source and candidate (h, w, 3) float32 linear, flip (h, w) float32."""
 
-    camera: Camera
+    camera: Camera | CloseUp
     source: Floats
     candidate: Floats
     flip: Floats
@@ -68,11 +71,13 @@ class Level:
 class Report:
     """What `verify` found.
 
-    levels: one per height, greatest first. views: cameras at each height. renderer: the OpenGL that drew. misses: the
-    thresholds that the candidate missed, one line each.
+    levels: one per height, greatest first. close_up: the crown's edge, its height that of the window; None where it was
+    not looked at. views: cameras at each height. renderer: the OpenGL that drew. misses: the thresholds that the
+    candidate missed, one line each.
     """
 
     levels: tuple[Level, ...]
+    close_up: Level | None
     views: int
     renderer: str
     misses: tuple[str, ...]
@@ -84,15 +89,18 @@ def verify(
     settings: VerifySettings | None = None,
     cache: Path | None = None,
     *,
+    indirect: IndirectTextures | None = None,
     trunk: Mesh | None = None,
+    close: Sequence[CloseUp] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Report:
     """Measure how a candidate differs from its source, both drawn as a stock glTF client draws them.
 
-    candidate: one mesh, or one for each height. cache: a folder where the source's pictures and floors are kept, so
-    that only the candidate is drawn the next time. trunk: the part of the source that is not foliage; without it,
-    foliage_coverage is of the whole tree. progress: called with the views done and to do, from any thread, one call at
-    a time. O(heights x views x (faces + pixels)).
+    candidate: one mesh, or one for each height; the greatest one's is looked at close up. indirect: billboards that
+    belong to the candidate, drawn by their own shader. close: from where to look close up. cache: a folder where the
+    source's pictures and floors are kept, so that only the candidate is drawn the next time. trunk: the part of the
+    source that is not foliage; without it, foliage_coverage is of the whole tree. progress: called with the views done
+    and to do, from any thread, one call at a time. O(heights x views x (faces + pixels)).
 
     Raises MeshError for an empty source, SettingsError and GraphicsError.
     """
@@ -102,10 +110,16 @@ def verify(
     if missing := [height for height in heights if height not in candidates]:
         raise SettingsError(f"no candidate for {missing[0]} px; give one mesh per height, or leave out that height")
 
-    tally = _Tally(2 * len(heights) * len(directions), progress)
-    levels = tuple(_level(source, trunk, candidates[height], directions, height, cache, tally) for height in heights)
+    close = () if settings.quick else close
+    tally = _Tally(2 * (len(heights) * len(directions) + len(close)), progress)
+
+    def level(mesh: Mesh, views: Sequence[Camera | CloseUp], height: int) -> Level:
+        return _level(source, trunk, mesh, indirect, views, height, cache, tally)
+
+    levels = tuple(level(candidates[height], directions, height) for height in heights)
+    close_up = level(candidates[heights[0]], close, CLOSE_UP) if close else None
     measured = [(level.height, level.candidate) for level in levels]
-    return Report(levels, len(directions), renderer(), failures(measured, settings.thresholds))
+    return Report(levels, close_up, len(directions), renderer(), failures(measured, settings.thresholds))
 
 
 def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Camera, ...]]:
@@ -113,6 +127,7 @@ def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Came
         (not settings.heights or not all(16 <= height <= 2048 for height in settings.heights), "heights: 16 to 2048"),
         (not settings.elevations or not all(-90 <= e <= 90 for e in settings.elevations), "elevations: -90 to 90"),
         (settings.azimuths < 1, "azimuths: 1 or more"),
+        (not set(settings.representations) <= set(REPRESENTATIONS), f"representations: {', '.join(REPRESENTATIONS)}"),
     ):
         if bad:
             raise SettingsError(f"verify.{what}; at least one")
@@ -153,7 +168,8 @@ def _level(
     source: Mesh,
     trunk: Mesh | None,
     candidate: Mesh,
-    directions: tuple[Camera, ...],
+    indirect: IndirectTextures | None,
+    directions: Sequence[Camera | CloseUp],
     height: int,
     cache: Path | None,
     scored: Callable[[int], None],
@@ -166,7 +182,7 @@ def _level(
         scored(1)
         return result
 
-    with closing(Drawing(candidate)) as drawing:
+    with closing(Drawing(candidate, indirect)) as drawing:
         scores = score_all(judge, range(len(views)), map(drawing.picture, views))
         fragments = np.array([drawing.fragments(view) for view in views])
         samples = tuple(
@@ -174,24 +190,24 @@ def _level(
             for index in _worst_of_each_elevation(directions, scores.flip)
         )
 
-    def figures(scores: Scores, mesh: Mesh | None, fragments: Doubles, views: slice = slice(None)) -> Figures:
-        return summed_up(scores, known, views, mesh, fragments[views])
+    def figures(scores: Scores, cost: Cost, fragments: Doubles, views: slice = slice(None)) -> Figures:
+        return summed_up(scores, known, views, cost, fragments[views])
 
     return Level(
         height=height,
-        candidate=figures(scores, candidate, fragments),
-        floor_half=figures(known.floor_half, source, known.fragments, SCALE),
-        floor_one=figures(known.floor_one, source, known.fragments),
-        empty=figures(known.empty, None, np.zeros(len(views)), SCALE),
+        candidate=figures(scores, cost_of(candidate, indirect), fragments),
+        floor_half=figures(known.floor_half, cost_of(source), known.fragments, SCALE),
+        floor_one=figures(known.floor_one, cost_of(source), known.fragments),
+        empty=figures(known.empty, Cost(0, 0, 0), np.zeros(len(views)), SCALE),
         samples=samples,
     )
 
 
-def _sample(camera: Camera, source: Picture, candidate: Picture) -> Sample:
+def _sample(camera: Camera | CloseUp, source: Picture, candidate: Picture) -> Sample:
     ours, theirs = over(source, SKY), over(candidate, SKY)
     return Sample(camera, ours, theirs, flip_error(ours, theirs))
 
 
-def _worst_of_each_elevation(directions: tuple[Camera, ...], flip: Doubles) -> list[int]:
+def _worst_of_each_elevation(directions: Sequence[Camera | CloseUp], flip: Doubles) -> list[int]:
     elevations = np.array([camera.elevation for camera in directions])
     return [int(np.argmax(np.where(elevations == elevation, flip, -1))) for elevation in np.unique(elevations)]

@@ -21,7 +21,7 @@ from treebake.errors import WorkspaceError
 from treebake.files import atomic
 from treebake.gl.draw import Drawing, Picture, renderer
 from treebake.model import Doubles, Floats, Mesh
-from treebake.verify.cameras import Camera
+from treebake.verify.cameras import Camera, CloseUp
 from treebake.verify.metrics import Scores, score, score_all
 
 LOG = logging.getLogger("treebake")
@@ -30,6 +30,8 @@ _PACKAGE = Path(__file__).parents[1]
 _CODE = (
     "images.py",
     "gl/draw.py",
+    "gl/view.py",
+    "gl/shaders/lighting.glsl",
     "gl/shaders/lit.glsl",
     "gl/shaders/lit_exact.glsl",
     "verify/cameras.py",
@@ -68,12 +70,12 @@ class Reference:
 def reference(
     source: Mesh,
     trunk: Mesh | None,
-    cameras: Sequence[Camera],
+    cameras: Sequence[Camera | CloseUp],
     height: int,
     cache: Path | None,
     scored: Callable[[int], None],
 ) -> Reference:
-    """Draw and score the source from every camera with its bounding sphere `height` pixels high.
+    """Draw and score the source from every camera, its bounding sphere (of a close-up the window) `height` pixels high.
 
     With a cache folder the result is read from there where mesh, cameras, renderer and code are the ones it was made
     with, and left there otherwise, if it can be written. Its least recently used files go where it grows beyond 2 GiB.
@@ -91,25 +93,29 @@ def reference(
 
 
 def _draw(
-    source: Mesh, trunk: Mesh | None, cameras: Sequence[Camera], height: int, scored: Callable[[int], None]
+    source: Mesh, trunk: Mesh | None, cameras: Sequence[Camera | CloseUp], height: int, scored: Callable[[int], None]
 ) -> Reference:
     views = [camera.view(height) for camera in cameras]
     with closing(Drawing(source, exact_cutouts=True)) as drawing:
         pictures = [drawing.picture(view) for view in views]
         fragments = np.array([drawing.fragments(view) for view in views])
 
-        def floor(source: Picture) -> Scores:
-            # A whole pixel's shift moves the same samples on, and the margin is empty: no need to draw again.
-            one = Picture(np.roll(source.color, 1, axis=1), np.roll(source.depth, 1, axis=1))
+        def floor(source: Picture, one: Picture) -> Scores:
             result = score(source, one)
             scored(1)
             return result
+
+        def moved(picture: Picture, camera: Camera | CloseUp) -> Picture:
+            if picture.color[:, -1].any():
+                return drawing.picture(camera.view(height, shift=1.0))
+            # A whole pixel's shift moves the same samples on, and the margin is empty: no need to draw again.
+            return Picture(np.roll(picture.color, 1, axis=1), np.roll(picture.depth, 1, axis=1))
 
         def nothing(source: Picture) -> Scores:
             return score(source, Picture(np.zeros_like(source.color), np.zeros_like(source.depth)))
 
         shifted = (drawing.picture(camera.view(height, shift=0.5)) for camera in cameras[SCALE])
-        floor_one = score_all(floor, pictures)
+        floor_one = score_all(floor, pictures, map(moved, pictures, cameras))
         floor_half = score_all(score, pictures[SCALE], shifted)
         empty = score_all(nothing, pictures[SCALE])
     trunk_area = np.zeros(len(views))
@@ -132,7 +138,7 @@ def _area(picture: Picture) -> float:
     return float(picture.color[..., 3].sum(dtype=np.float64))
 
 
-def _key(source: Mesh, trunk: Mesh | None, cameras: Sequence[Camera], height: int) -> str:
+def _key(source: Mesh, trunk: Mesh | None, cameras: Sequence[Camera | CloseUp], height: int) -> str:
     digest = hashlib.sha256(renderer().encode())
     for name in _CODE:
         digest.update((_PACKAGE / name).read_bytes())

@@ -1,6 +1,7 @@
-"""What `verify` found, for people and for machines: a table, report.json, and a contact sheet per height."""
+"""What `verify` found, for people and for machines: a table, report.json, contact sheets."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -38,40 +39,47 @@ def as_dict(report: Report) -> dict[str, Any]:
         "renderer": report.renderer,
         "views": report.views,
         "misses": list(report.misses),
-        "heights": [
-            {
-                "height": level.height,
-                "invisible": level.invisible,
-                **_rounded(level.candidate),
-                "scale": {name: _rounded(figures) for name, figures in _scale(level).items()},
-            }
-            for level in report.levels
-        ],
+        "heights": [_level(level) for level in report.levels],
+        "close_up": _level(report.close_up) if report.close_up else None,
     }
 
 
-def write_report(report: Report, folder: Path) -> None:
-    """Write report.json and one contact sheet per height, e.g. 512px.png: source, candidate, FLIP map.
+def _level(level: Level) -> dict[str, Any]:
+    return {
+        "height": level.height,
+        "invisible": level.invisible,
+        **_rounded(level.candidate),
+        "scale": {name: _rounded(figures) for name, figures in _scale(level).items()},
+    }
 
-    A sheet's rows are each elevation's worst view, pixel for pixel. The FLIP map runs from black (no difference) to
-    light yellow (1). The same report gives the same bytes. Raises WorkspaceError where the folder cannot be written.
+
+def write_report(reports: Mapping[str, Report], folder: Path) -> None:
+    """Write report.json, a table per representation, and its contact sheets, e.g. cloud_512px.png, cloud_close.png.
+
+    A sheet shows source, candidate and FLIP map; its rows are each elevation's worst view, pixel for pixel. The map
+    runs from black (no difference) to light yellow (1). The same reports give the same bytes. Raises WorkspaceError
+    where the folder cannot be written.
     """
-    for level in report.levels:
-        with atomic(folder / f"{level.height}px.png") as file:
-            file.write(encode_png(np.concatenate([_row(sample) for sample in level.samples])))
+    for name, report in reports.items():
+        for label, level in _labelled(report):
+            with atomic(folder / f"{name}_{label}.png") as file:
+                file.write(encode_png(np.concatenate([_row(sample) for sample in level.samples])))
+    facts = {name: as_dict(report) for name, report in reports.items()}
     with atomic(folder / "report.json") as file:
-        file.write((json.dumps(as_dict(report), indent=2, sort_keys=True) + "\n").encode())
+        file.write((json.dumps(facts, indent=2, sort_keys=True) + "\n").encode())
 
 
-def format_table(report: Report) -> str:
-    """Lay the figures out for a terminal: per height the candidate, the floors and the empty scene."""
-    lines = [["px", "", *(heading for heading, _, _ in _COLUMNS)]]
-    for level in report.levels:
-        verdict = "invisible" if level.invisible else "candidate"
-        rows = {verdict: level.candidate, **_scale(level)}
-        for name, figures in rows.items():
-            height = str(level.height) if figures is level.candidate else ""
-            lines.append([height, name.replace("_", " "), *(_cell(figures, *column[1:]) for column in _COLUMNS)])
+def format_table(reports: Mapping[str, Report]) -> str:
+    """Lay the figures out for a terminal: per height, and close up, every candidate, the floors and the empty scene."""
+    lines = [["", "", *(heading for heading, _, _ in _COLUMNS)]]
+    columns = {name: _labelled(report) for name, report in reports.items()}
+    for index, (label, level) in enumerate(next(iter(columns.values()))):
+        candidates = {name: column[index][1] for name, column in columns.items()}
+        rows = {name: each.candidate for name, each in candidates.items()} | _scale(level)
+        for row, (name, figures) in enumerate(rows.items()):
+            mark = " =" if name in candidates and candidates[name].invisible else ""
+            cells = [_cell(figures, *column[1:]) for column in _COLUMNS]
+            lines.append(["" if row else label, name.replace("_", " ") + mark, *cells])
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     return "\n".join(
         "  ".join(
@@ -80,6 +88,11 @@ def format_table(report: Report) -> str:
         ).rstrip()
         for line in lines
     )
+
+
+def _labelled(report: Report) -> list[tuple[str, Level]]:
+    levels = [(f"{level.height}px", level) for level in report.levels]
+    return [*levels, ("close", report.close_up)] if report.close_up else levels
 
 
 def _scale(level: Level) -> dict[str, Figures]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from treebake.errors import SettingsError
+from treebake.flatten import FlatLeaves, flatten, plane_frames
 from treebake.gl.bake import FlatTriangles, bake_atlas
 from treebake.images import color_texels, normal_texels
 from treebake.model import (
@@ -21,10 +22,9 @@ from treebake.model import (
     Texture,
     Tree,
 )
+from treebake.packing import pack, texel_sizes
 from treebake.stages.billboards.cards import Cards, cut_cards
 from treebake.stages.billboards.coverage import preserve_coverage
-from treebake.flatten import FlatLeaves, flatten, plane_frames
-from treebake.packing import pack, texel_sizes
 from treebake.stages.billboards.silhouette import covered_area
 
 LOG = logging.getLogger("treebake")

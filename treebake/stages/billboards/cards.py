@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from treebake.model import Doubles, Ints
 from treebake.flatten import FlatLeaves
+from treebake.model import Doubles, Ints
 
 _TURN = 12  # directions in a right angle: a rectangle's turn is a multiple of 7.5 degrees
 _WORTHWHILE = 0.1  # a cut must save this share of its card's texels

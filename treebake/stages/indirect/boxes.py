@@ -30,7 +30,7 @@ class Boxes:
 
     def local(self, points: Doubles, billboard: Ints) -> Doubles:
         """Points (N, 3) in the frames of their boxes, from the corner, in the tree's unit."""
-        return np.einsum("nij,nj->ni", self.frames[billboard], points) - self.corners[billboard]
+        return np.asarray(np.einsum("nij,nj->ni", self.frames[billboard], points) - self.corners[billboard])
 
 
 def box(clusters: Clusters, contents: tuple[Poses, ...], cell: float) -> Boxes:
@@ -49,16 +49,15 @@ def box(clusters: Clusters, contents: tuple[Poses, ...], cell: float) -> Boxes:
             highs.append(np.maximum.reduceat((middle + reach)[order], starts))
         return np.min(lows, axis=0), np.max(highs, axis=0)
 
-    frames, low, high = [], [], []
+    frames, spans = [], []
     for angle in np.arange(_TURNS) * (np.pi / 2 / _TURNS):
         right = np.cos(angle) * upright[:, 0] + np.sin(angle) * upright[:, 1]
         frames.append(np.stack([right, np.cross(right, clusters.normals), -clusters.normals], axis=1))
-        sides = [extent(frames[-1][:, axis]) for axis in range(2)]
-        low.append(np.stack([side[0] for side in sides], axis=1))
-        high.append(np.stack([side[1] for side in sides], axis=1))
-    best = np.argmin([np.prod(h - l, axis=1) for l, h in zip(low, high, strict=True)], axis=0)
+        spans.append(np.stack([extent(frames[-1][:, axis]) for axis in range(2)], axis=2))  # low and high of each axis
+    best = np.argmin([np.prod(high - low, axis=1) for low, high in spans], axis=0)
     rows = np.arange(count)
-    frame, least, most = (np.stack(x)[best, rows] for x in (frames, low, high))
+    frame = np.stack(frames)[best, rows]
+    least, most = np.stack(spans)[best, :, rows].transpose(1, 0, 2)
     front, back = extent(frame[:, 2])
     return Boxes(
         frames=frame,

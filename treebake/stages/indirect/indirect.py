@@ -22,7 +22,9 @@ class IndirectSettings:
     """How leaves become tables."""
 
     cell: float = 1.5  # side of a hash cell, in mean leaf sizes, > 0; smaller cells have shorter lists
-    flat: bool = False  # turn and move leaves into their plane, as the papers do, instead of leaving them where they are
+    flat: bool = (
+        False  # turn and move leaves into their plane, as the papers do, instead of leaving them where they are
+    )
     single: bool = False  # one leaf a cell at most, [GSSK05]'s leaf distribution; best with a small cell
     orientations: int = 0  # directions within its plane to which a leaf is snapped; 0 keeps it exact
     leaf_texels: int = 64  # along the greatest side of the image of a leaf without texture, 4 to 1024
@@ -64,9 +66,7 @@ def indirect(tree: Tree, clusters: Clusters, settings: IndirectSettings) -> Indi
     first = np.searchsorted(clusters.labels[order], np.arange(clusters.count))
     foot = _footprints(drawn, boxes, clusters, order, first, side)
     hashes, lists = list_leaves(foot, boxes.sizes, origins, (height, width), single=settings.single)
-    images = draw_leaf_images(
-        tree.foliage, leaves, shapes, settings.leaf_texels, settings.atlas, settings.likeness
-    )
+    images = draw_leaf_images(tree.foliage, leaves, shapes, settings.leaf_texels, settings.atlas, settings.likeness)
     largest = float(drawn.halves[:, 1].max())
     placements = in_rows(pack_placements(_placements(drawn, shapes, boxes, clusters, largest, side))[order])
     far_color, far_normal = draw_far(tree, clusters, boxes, origins, (height, width), 1 / side, settings.far_texels)

@@ -10,7 +10,7 @@ import numpy as np
 from treebake.errors import BudgetError
 from treebake.gl.bake import FlatTriangles, bake_atlas
 from treebake.images import bleed, color_texels, normal_texels
-from treebake.model import Doubles, Floats, Ints, Leaves, Mesh, Texture
+from treebake.model import Doubles, Floats, Leaves, Longs, Mesh, Texture
 from treebake.packing import pack_cells
 from treebake.stages.indirect.shapes import Shapes, faces_of
 
@@ -65,25 +65,29 @@ def draw_leaf_images(
     )
 
 
-def _thresholds(coverage: Floats, origins: Ints, extent: Doubles) -> Floats:
+def _thresholds(coverage: Floats, origins: Longs, extent: Doubles) -> Floats:
     """The alpha that mips 1 to 4 of each image exceed on the area on which mip 0 exceeds 0.5: (images, 4) float32."""
     result = np.full((len(origins), _MIPS), 0.5, np.float32)
     for row, ((x, y), (width, height)) in enumerate(zip(origins.tolist(), extent.astype(int).tolist(), strict=True)):
         alpha = coverage[y : y + -(-height // BLOCK) * BLOCK, x : x + -(-width // BLOCK) * BLOCK]
         covered = (alpha > 0.5).mean()
         for mip in range(_MIPS):
-            alpha = (alpha[::2, ::2] + alpha[1::2, ::2] + alpha[::2, 1::2] + alpha[1::2, 1::2]) / 4
+            alpha = (alpha[::2, ::2] + alpha[1::2, ::2] + alpha[::2, 1::2] + alpha[1::2, 1::2]) / np.float32(4)
             result[row, mip] = np.clip(np.quantile(alpha, 1 - covered), _LEAST, 1 - _LEAST)
     return result
 
 
-def _pack(sizes: Doubles, atlas: int) -> tuple[Doubles, Ints, tuple[int, int]]:
+def _pack(sizes: Doubles, atlas: int) -> tuple[Doubles, Longs, tuple[int, int]]:
     """The sizes that images get, where they go, and the (width, height) of the texture, in texels."""
     wanted = sizes
     while sizes.max() >= 1:
         blocks = np.ceil(np.maximum(sizes, 1) / BLOCK).astype(np.int32)
         if packed := pack_cells(blocks, atlas // BLOCK):
-            return np.maximum(np.floor(sizes), 1), packed[0] * BLOCK, (packed[1][0] * BLOCK, packed[1][1] * BLOCK)
+            return (
+                np.maximum(np.floor(sizes), 1),
+                packed[0].astype(np.int64) * BLOCK,
+                (packed[1][0] * BLOCK, packed[1][1] * BLOCK),
+            )
         sizes = sizes * _SHRINK
     raise BudgetError(
         f"{len(wanted)} leaf images do not fit into a texture of {atlas} x {atlas} texels; raise [indirect] atlas, "
@@ -138,7 +142,7 @@ class _Sides:
         return np.ascontiguousarray(tiles.reshape(across * across, -1)[: len(images)])
 
     def draw(
-        self, images: Ints, origins: Ints, extent: Doubles, size: tuple[int, int], supersample: int
+        self, images: Longs, origins: Longs, extent: Doubles, size: tuple[int, int], supersample: int
     ) -> tuple[Floats, Floats, Floats]:
         """Draw some images at origins with extents, in texels, as `bake_atlas` does."""
         back, shape = np.divmod(images, len(self.shapes.exemplars))
@@ -158,9 +162,9 @@ class _Sides:
         return color, normal, height
 
 
-def _leaders(looks: Floats, sizes: Doubles, tolerance: float) -> Ints:
+def _leaders(looks: Floats, sizes: Doubles, tolerance: float) -> Longs:
     """The image that stands for each: itself, or a larger one that looks the same."""
-    leader = np.full(len(looks), -1)
+    leader = np.full(len(looks), -1, np.int64)
     for image in np.argsort(-np.prod(sizes, axis=1), kind="stable"):
         if leader[image] < 0:
             open_ = np.flatnonzero(leader < 0)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from treebake.errors import BudgetError
-from treebake.model import Doubles, Ints, Words
+from treebake.model import Doubles, Ints, Longs, Words
 
 LIST_BITS = 10  # of a hash texel: the count of its list; the other 22 are the offset
 _LEAVES = 1 << 16  # that a lists entry can name
@@ -28,7 +28,9 @@ class Footprints:
     depths: Doubles
 
 
-def list_leaves(leaves: Footprints, sizes: Ints, origins: Ints, shape: tuple[int, int], *, single: bool) -> tuple[Words, np.ndarray]:
+def list_leaves(
+    leaves: Footprints, sizes: Ints, origins: Ints, shape: tuple[int, int], *, single: bool
+) -> tuple[Words, np.ndarray]:
     """Fill the hash atlas of (height, width) cells and the lists.
 
     sizes, origins: (K, 2) int32, columns and rows of each billboard's grid, and its first texel in the atlas. single:
@@ -45,7 +47,7 @@ def list_leaves(leaves: Footprints, sizes: Ints, origins: Ints, shape: tuple[int
         first = np.flatnonzero(np.diff(cell, prepend=-1))
         leaf, cell = leaf[first], cell[first]
     cells, starts, counts = np.unique(cell, return_index=True, return_counts=True)
-    entries, offsets = _shared(leaves.number[leaf], starts, counts)
+    entries, offsets = _shared(leaves.number[leaf].astype(np.int64), starts.astype(np.int64), counts)
     _check(leaves, counts, entries)
     hashes = np.zeros(shape, np.uint32)
     hashes.reshape(-1)[cells] = (offsets << LIST_BITS | counts).astype(np.uint32)
@@ -60,7 +62,7 @@ def in_rows(values: np.ndarray) -> np.ndarray:
     return padded.reshape(rows, _WIDTH, *values.shape[1:])
 
 
-def _touched(leaves: Footprints, sizes: Ints, origins: Ints, width: int, *, centers_only: bool) -> tuple[Ints, Ints]:
+def _touched(leaves: Footprints, sizes: Ints, origins: Ints, width: int, *, centers_only: bool) -> tuple[Longs, Longs]:
     """Every pair of a leaf and a cell that its footprint meets; cells are numbered through the atlas."""
     reach = np.abs(leaves.edges).sum(axis=1)
     grid = sizes[leaves.billboard]
@@ -68,7 +70,7 @@ def _touched(leaves: Footprints, sizes: Ints, origins: Ints, width: int, *, cent
     high = np.clip(np.floor(leaves.middles + reach), 0, grid - 1).astype(np.int64)
     across, down = (high - low + 1).T
     number = across * down
-    leaf = np.repeat(np.arange(len(number)), number)
+    leaf = np.repeat(np.arange(len(number), dtype=np.int64), number)
     step = np.arange(len(leaf)) - np.repeat(np.cumsum(number) - number, number)
     place = low[leaf] + np.stack([step % across[leaf], step // across[leaf]], axis=1)
     # Boxes seen along the normal are hexagons: apart from a cell where a normal of their edges tells them apart.
@@ -86,7 +88,7 @@ def _touched(leaves: Footprints, sizes: Ints, origins: Ints, width: int, *, cent
     return leaf, place[:, 1] * width + place[:, 0]
 
 
-def _shared(entries: Ints, starts: Ints, counts: Ints) -> tuple[Ints, Ints]:
+def _shared(entries: Longs, starts: Longs, counts: Longs) -> tuple[Longs, Longs]:
     """The lists with equal ones stored once, and the offset of each: one pass per length of list."""
     stored, offsets, end = [np.zeros(0, np.int64)], np.zeros(len(starts), np.int64), 0
     for count in np.unique(counts):
@@ -98,9 +100,14 @@ def _shared(entries: Ints, starts: Ints, counts: Ints) -> tuple[Ints, Ints]:
     return np.concatenate(stored), offsets
 
 
-def _check(leaves: Footprints, counts: Ints, entries: Ints) -> None:
+def _check(leaves: Footprints, counts: Longs, entries: Longs) -> None:
     for found, most, what, mend in (
-        (int(leaves.number.max(initial=0)) + 1, _LEAVES, "leaves in one billboard", "raise [indirect_cluster] billboards"),
+        (
+            int(leaves.number.max(initial=0)) + 1,
+            _LEAVES,
+            "leaves in one billboard",
+            "raise [indirect_cluster] billboards",
+        ),
         (int(counts.max(initial=0)), (1 << LIST_BITS) - 1, "leaves in one list", "lower [indirect] cell"),
         (len(entries), 1 << (32 - LIST_BITS), "entries in the lists", "raise [indirect] cell"),
     ):

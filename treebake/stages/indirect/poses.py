@@ -38,7 +38,8 @@ def poses(foliage: Mesh, leaves: Leaves, shapes: Shapes) -> Poses:
     mirrored = determinant < 0
     linear[mirrored, :, 0] *= -1
     exact = Poses(
-        centers=np.einsum("nij,nj->ni", leaves.transforms[:, :, :3], shapes.centers[shape]) + leaves.transforms[:, :, 3],
+        centers=np.einsum("nij,nj->ni", leaves.transforms[:, :, :3], shapes.centers[shape])
+        + leaves.transforms[:, :, 3],
         frames=np.swapaxes(linear / scale[:, None, None], 1, 2),
         halves=shapes.halves[shape] * scale[:, None],
         mirrored=mirrored,
@@ -55,7 +56,7 @@ def laid_flat(exact: Poses, leaves: Leaves, clusters: Clusters) -> Poses:
 
 
 def snapped(exact: Poses, count: int) -> Poses:
-    """The leaves turned about their own normal to the nearest of `count` directions: an orientation index [GPSS07] 3."""
+    """The leaves turned about their normals to the nearest of `count` directions: an orientation index ([GPSS07] 3)."""
     away = exact.frames[:, 2]
     level = np.cross([0.0, 1.0, 0.0], away)  # a direction that every leaf of one normal agrees on
     level = np.where(np.linalg.norm(level, axis=1, keepdims=True) > 1e-6, level, [1.0, 0.0, 0.0])

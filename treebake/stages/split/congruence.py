@@ -3,14 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from treebake.model import Doubles, Ints, Mesh
+from treebake.model import Doubles, Ints, Longs, Mesh
 
 _CHUNK = 1 << 19  # corners aligned at a time, to bound the memory
 _TRIES = 4  # exemplars tried in one bucket
 _COMMON = 4  # shapes that the exemplars of the others are tried against
 _GRAIN = 0.02  # of the leaf size: how finely signatures are told apart; finer than leaves differ, coarser than noise
-
-Longs = NDArray[np.int64]
 
 
 def find_shapes(mesh: Mesh, face_leaf: Ints, tolerance: float) -> tuple[Ints, Ints, Doubles]:

@@ -8,8 +8,8 @@ import fast_simplification
 import numpy as np
 from scipy.spatial import cKDTree
 
-from treebake.model import Doubles, Mesh
-from treebake.tubes.surface import Longs, Surface, find_surface
+from treebake.model import Doubles, Longs, Mesh
+from treebake.tubes.surface import Surface, find_surface
 
 _AGGRESSION = (7.0, 10.0)  # fast-simplification's haste, tried in turn: at 10 it always arrives, and loses more area
 _INSET = 0.1  # a corner's attributes come from where it lies this far towards its face's centre

@@ -1,0 +1,47 @@
+"""A billboard cloud with as many texels as fit into given bytes: what a flat atlas is worth at another's price."""
+
+from dataclasses import replace
+
+from treebake.compression import block_bytes
+from treebake.images import mip_chain
+from treebake.model import Material, Mesh, Texture
+
+_BLOCK = 16  # bytes: BC3 for colour, BC5 for normals
+
+
+def with_texture_bytes(mesh: Mesh, limit: int) -> Mesh:
+    """The mesh with its alpha-masked materials' textures replaced by their first mips that take at most `limit` bytes.
+
+    Bytes are those of block-compressed textures with their mips, of all masked materials together.
+    """
+    masked = [material for material in mesh.materials if material.alpha_mode == "MASK"]
+    drop = 0
+    while sum(_bytes(image, drop) for material in masked for image in _images(material)) > limit:
+        drop += 1
+
+    def smaller(material: Material) -> Material:
+        if material not in masked:
+            return material
+        return replace(
+            material,
+            color_map=_mip(material.color_map, drop, srgb=True),
+            normal_map=_mip(material.normal_map, drop, srgb=False),
+        )
+
+    return replace(mesh, materials=tuple(map(smaller, mesh.materials)))
+
+
+def _images(material: Material) -> list[Texture]:
+    return [image for image in (material.color_map, material.normal_map) if image is not None]
+
+
+def _bytes(image: Texture, drop: int) -> int:
+    height, width = image.pixels.shape[:2]
+    return block_bytes(max(width >> drop, 1), max(height >> drop, 1), _BLOCK) if max(width, height) >> drop else 0
+
+
+def _mip(image: Texture | None, drop: int, *, srgb: bool) -> Texture | None:
+    if image is None or not drop:
+        return image
+    chain = mip_chain(image.pixels, srgb=srgb)
+    return Texture(image.name, chain[min(drop, len(chain) - 1)])
