@@ -2,22 +2,30 @@
 
 import json
 import re
+import struct
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
+import OpenImageIO as oiio  # noqa: N813 - the name its documentation uses
 import pytest
+from foliage import frozen, leaf_tree, planes
 from gltf_validate import assert_valid
 from stems import empty, stem
 from synthetic import quad
 
 import treebake
-from treebake.asset import Asset, Level, Manifest, read_asset, write_asset
+from treebake.asset import Asset, Level, Manifest, indirect_bytes, read_asset, read_indirect, write_asset
+from treebake.asset.indirect import IMAGES, TABLES, write_indirect
 from treebake.errors import AssetError, WorkspaceError
 from treebake.images import read_image
 from treebake.meshes import read_mesh
-from treebake.model import AlphaMode, BakedTree, BillboardCloud, Material, Mesh, Texture
+from treebake.model import AlphaMode, BakedTree, BillboardCloud, IndirectTextures, Material, Mesh, Texture
+from treebake.stages.indirect import IndirectSettings, indirect
 
 FORMAT_MD = Path(treebake.__file__).parent / "asset/FORMAT.md"
 
@@ -49,11 +57,20 @@ def cards() -> Mesh:
     )
 
 
+@cache
+def layers() -> IndirectTextures:
+    """The smallest indirect textures: three leaves on two planes."""
+    tree = leaf_tree([(0, 0, 0), (0.3, 0.1, 0.05), (0, 1, 0)])
+    clusters = planes([0, 0, 1], [(0, 0, 1), (0, 0, 1)], [0, 0])
+    return frozen(indirect(tree, clusters, IndirectSettings(leaf_texels=4, atlas=64, far_texels=1)))
+
+
 def baked(name: str = "oak", *, foliage: bool = True, trunk: bool = True) -> BakedTree:
     cloud = BillboardCloud(cards(), np.array([0, 0, 7, 7], np.int32))
     return BakedTree(
         name=name,
         cloud=cloud if foliage else BillboardCloud(empty(), np.zeros(0, np.int32)),
+        indirect=layers() if foliage else None,
         trunk=stem() if trunk else empty(),
         source_triangles=12345,
         source_bounds=np.array([(-1, 0, -2), (1, 3.5, 2)], np.float32),
@@ -99,7 +116,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
 
 
 def test_loose_textures_are_the_same_pixels(oak: Path) -> None:
-    color, normal = read_asset(oak).manifest.textures
+    color, normal, *_ = read_asset(oak).manifest.textures
     assert (color.file, color.size, color.color_space) == ("textures/oak_foliage_color.png", (8, 4), "sRGB")
     assert (normal.file, normal.size, normal.color_space) == ("textures/oak_foliage_normal.png", (8, 4), "linear")
     material = cards().materials[0]
@@ -109,9 +126,45 @@ def test_loose_textures_are_the_same_pixels(oak: Path) -> None:
     assert (read_image(oak / normal.file) == material.normal_map.pixels).all()
 
 
+def test_loose_images_of_the_indirect_textures_are_the_same_pixels(oak: Path) -> None:
+    listed = {image.file: image for image in read_asset(oak).manifest.textures}
+    for name, space in zip(IMAGES, ("sRGB", "linear") * 2, strict=True):
+        texture, image = getattr(layers(), name), listed[f"textures/oak_{name}.png"]
+        assert (image.size, image.color_space) == (texture.pixels.shape[1::-1], space)
+        assert (read_image(oak / image.file) == texture.pixels).all()
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_loose_tables_are_the_same_bits(oak: Path, name: str) -> None:
+    table = getattr(layers(), name)
+    (image,) = (image for image in read_asset(oak).manifest.textures if Path(image.file).stem == f"oak_{name}")
+    assert image.color_space == "data"
+    file = oiio.ImageInput.open(str(oak / image.file))
+    bits = np.asarray(file.read_image(oiio.FLOAT if image.file.endswith(".exr") else oiio.UINT16))
+    assert image.size == bits.shape[1::-1]
+    assert len(bits) == len(table)  # a row of the table is a row of the image
+    assert bits.tobytes() == table.tobytes()
+
+
+def test_the_manifest_says_what_the_indirect_textures_are(oak: Path) -> None:
+    found = read_asset(oak).manifest.indirect
+    assert found is not None
+    assert (found.file, found.billboards, found.leaves) == ("oak.glb", 2, 3)
+    assert found.gpu_bytes == indirect_bytes(layers())
+
+
+def test_the_full_glb_holds_the_standard_meshes_too(oak: Path) -> None:
+    full, level = read_mesh(oak / "oak.glb"), read_mesh(oak / "oak_LOD0.glb")
+    assert full.nodes == level.nodes == ("cloud", "trunk")
+    for name in ("positions", "normals", "uvs", "faces", "face_material", "face_node"):
+        assert np.array_equal(getattr(full, name), getattr(level, name))
+
+
 def test_the_folder_holds_what_the_manifest_names_and_nothing_else(oak: Path) -> None:
     manifest = read_asset(oak).manifest
+    assert manifest.indirect is not None
     named = {level.file for level in manifest.levels} | {image.file for image in manifest.textures}
+    named.add(manifest.indirect.file)
     found = {path.relative_to(oak).as_posix() for path in oak.rglob("*") if path.is_file()}
     assert found == named | {"manifest.json"}
 
@@ -122,6 +175,9 @@ def test_any_name_of_a_file_will_do(name: str, tmp_path: Path) -> None:
     asset = read_asset(tmp_path)
     assert asset.level_paths == (tmp_path / f"{name}_LOD0.glb",)
     assert read_mesh(asset.level_paths[0]).triangles > 4
+    assert asset.manifest.indirect is not None
+    assert asset.manifest.indirect.file == f"{name}.glb"
+    assert read_indirect(tmp_path / f"{name}.glb").leaves == 3
 
 
 def test_the_same_tree_gives_the_same_bytes(oak: Path, tmp_path: Path) -> None:
@@ -143,6 +199,8 @@ def test_a_tree_without_leaves(tmp_path: Path) -> None:
     (level,) = manifest.levels
     assert (level.representations, level.billboards, level.foliage_triangles) == (("trunk",), 0, 0)
     assert manifest.textures == ()
+    assert manifest.indirect is None
+    assert not (tmp_path / "oak.glb").exists()
     assert not (tmp_path / "textures").exists()
 
 
@@ -206,7 +264,7 @@ def test_truncated_json(oak: Path, cut: int) -> None:
         read_asset(oak)
 
 
-@pytest.mark.parametrize("key", ["generator", "name", "source", "levels", "textures"])
+@pytest.mark.parametrize("key", ["generator", "name", "source", "levels", "indirect", "textures"])
 def test_a_missing_key_is_named(oak: Path, key: str) -> None:
     edit(oak, **{key: None})
     with pytest.raises(AssetError, match=rf"manifest\.json is damaged \(.*{key}.*\)"):
@@ -219,7 +277,16 @@ def test_a_manifest_without_levels(oak: Path) -> None:
         read_asset(oak)
 
 
-@pytest.mark.parametrize("file", ["oak_LOD0.glb", "textures/oak_foliage_color.png", "textures/oak_foliage_normal.png"])
+@pytest.mark.parametrize(
+    "file",
+    [
+        "oak_LOD0.glb",
+        "oak.glb",
+        "textures/oak_foliage_color.png",
+        "textures/oak_foliage_normal.png",
+        "textures/oak_placements.png",
+    ],
+)
 def test_a_missing_file_is_named(oak: Path, file: str) -> None:
     (oak / file).unlink()
     with pytest.raises(AssetError, match=rf"{re.escape(file)} is named by the manifest and is missing"):
@@ -239,6 +306,161 @@ def test_keys_of_a_newer_treebake_are_passed_over(oak: Path) -> None:
     assert read_asset(oak).manifest.name == "oak"
 
 
+# ---- the indirect textures -----------------------------------------------------------------------------------------
+
+
+def indirect_glb(folder: Path, **changes: object) -> Path:
+    """A GLB of the indirect textures, some of them changed."""
+    write_indirect(folder / "oak.glb", [], replace(layers(), **changes))
+    return folder / "oak.glb"
+
+
+def rewritten(path: Path, change: Callable[[Any], object]) -> Path:
+    """The same GLB with its JSON changed."""
+    data = path.read_bytes()
+    (size,) = struct.unpack_from("<I", data, 12)
+    document = json.loads(data[20 : 20 + size])
+    change(document)
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + size :]
+    head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON")
+    path.write_bytes(head + text + rest)
+    return path
+
+
+def changed(name: str, index: object, value: float) -> dict[str, object]:
+    """One table with some of its values set."""
+    table = getattr(layers(), name).copy()
+    table[index] = value
+    return {name: table}
+
+
+def test_indirect_textures_come_back_to_the_bit(tmp_path: Path) -> None:
+    found = read_indirect(indirect_glb(tmp_path))
+    for name in TABLES:
+        stored, table = getattr(found, name), getattr(layers(), name)
+        assert (stored.dtype, stored.shape) == (table.dtype, table.shape)
+        assert stored.tobytes() == table.tobytes(), name
+    for name in IMAGES:
+        assert (getattr(found, name).pixels == getattr(layers(), name).pixels).all()
+    assert (found.leaves, found.largest) == (layers().leaves, layers().largest)
+
+
+def test_the_hash_texture_keeps_its_shape(tmp_path: Path) -> None:
+    wide = np.zeros((2, 8), np.uint32)
+    wide[:2, :2] = layers().hash_texture
+    assert (read_indirect(indirect_glb(tmp_path, hash_texture=wide)).hash_texture == wide).all()
+
+
+def test_indirect_bytes_are_the_tables_and_the_compressed_images() -> None:
+    # Two planes of one cell row each; images of 16 x 16 texels (5 mips: 16, 4, 1, 1, 1 blocks), far ones of one block.
+    far = layers().far_color.pixels.shape[:2]
+    assert (far, layers().hash_texture.size) == ((2, 2), 4)
+    tables = 2 * 80 + 64 + 4 * 4 + 1024 * (2 + 16 + 4)
+    assert indirect_bytes(layers()) == tables + 23 * (16 + 24) + 2 * (16 + 16)
+
+
+@pytest.mark.parametrize(
+    ("table", "index", "value", "says"),
+    [
+        ("billboards", (0, 0), np.nan, "a table holds no numbers"),
+        ("shapes", (0, 3), np.inf, "a table holds no numbers"),
+        ("hash_texture", (0, 0), 1023 << 10 | 2, "a list leaves the lists texture"),
+        ("billboards", (0, 16), -1, "a billboard leaves the hash texture"),
+        ("billboards", (1, 16), 2, "a billboard leaves the hash texture"),
+        ("billboards", (1, 17), 2, "a billboard leaves the hash texture"),
+        ("billboards", (0, 13), 3, "a billboard leaves the hash texture"),
+        ("billboards", (1, 18), -1, "a billboard leaves the placements"),
+        ("billboards", (1, 18), 1024, "a billboard leaves the placements"),
+        ("placements", (0, 2, 3), 1 << 16, "a placement has an unknown shape"),
+    ],
+)
+def test_a_damaged_table_is_named(tmp_path: Path, table: str, index: tuple[int, ...], value: float, says: str) -> None:
+    path = indirect_glb(tmp_path, **changed(table, index, value))
+    with pytest.raises(AssetError) as caught:
+        read_indirect(path)
+    assert str(caught.value) == f"{path} is damaged: {says}; bake the tree again"
+
+
+def test_the_last_list_and_the_last_placement_are_inside(tmp_path: Path) -> None:
+    read_indirect(indirect_glb(tmp_path, **changed("hash_texture", (0, 0), 1022 << 10 | 2)))
+    read_indirect(indirect_glb(tmp_path, **changed("billboards", (1, 18), 1023)))
+
+
+def test_an_empty_table_is_named(tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match="is damaged: a table is empty; bake the tree again"):
+        read_indirect(indirect_glb(tmp_path, shapes=layers().shapes[:0]))
+
+
+def test_ambient_light_without_its_placement_is_named(tmp_path: Path) -> None:
+    twice = np.concatenate([layers().ambient] * 2)
+    with pytest.raises(AssetError, match="is damaged: there is not one ambient entry per placement; bake the tree ag"):
+        read_indirect(indirect_glb(tmp_path, ambient=twice))
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_a_missing_image_is_named(tmp_path: Path, name: str, caplog: pytest.LogCaptureFixture) -> None:
+    def without(document: Any) -> None:
+        del document["textures"][document["extras"]["treebake"]["indirect"][name]]["source"]
+
+    with pytest.raises(AssetError, match="is damaged: an image is missing; bake the tree again"):
+        read_indirect(rewritten(indirect_glb(tmp_path), without))
+    assert "going on without it" in caplog.text
+
+
+@pytest.mark.parametrize("number", [0, 2, 99])
+def test_an_unknown_format_of_indirect_textures_is_named(tmp_path: Path, number: int) -> None:
+    path = rewritten(indirect_glb(tmp_path), lambda document: document["extras"]["treebake"].update(format=number))
+    with pytest.raises(AssetError) as caught:
+        read_indirect(path)
+    assert str(caught.value) == f"{path} is of format {number}, and this treebake reads 1; bake the tree again"
+
+
+def pointing(name: str, to: object) -> Callable[[Any], object]:
+    return lambda document: document["extras"]["treebake"]["indirect"].update({name: to})
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda document: document.pop("extras"), "extras"),
+        (lambda document: document["extras"].pop("treebake"), "treebake"),
+        (lambda document: document["extras"].update(treebake=[]), "Expected `object`"),
+        (lambda document: document["extras"]["treebake"]["indirect"].pop("leaves"), "leaves"),
+        (pointing("placements", "5"), "Expected `int`"),
+        (pointing("placements", 99), "out of range"),
+        (pointing("far_color", 99), "out of range"),
+        (pointing("placements", 0), "table placements has values of another kind"),  # floats
+        (pointing("hash_width", 3), "reshape"),
+        (pointing("hash_width", 0), "reshape"),
+        (lambda document: document["bufferViews"][0].update(byteLength=10**9), "truncated"),
+        (lambda document: document["accessors"][0].update(count=10**9), "leaves buffer view"),
+        (lambda document: document["accessors"][0].update(count=3), "reshape"),
+        (lambda document: document.pop("accessors"), "accessors"),
+    ],
+)
+def test_extras_that_do_not_hold_together_are_one_line(
+    tmp_path: Path, change: Callable[[Any], object], says: str
+) -> None:
+    path = rewritten(indirect_glb(tmp_path), change)
+    with pytest.raises(AssetError) as caught:
+        read_indirect(path)
+    text = str(caught.value)
+    assert text.startswith(f"{path} holds no usable indirect textures (")
+    assert text.endswith("); bake the tree again")
+    assert says in text
+    assert "\n" not in text
+
+
+def test_a_file_that_is_none_or_cut_off_is_one_line(tmp_path: Path) -> None:
+    path = indirect_glb(tmp_path)
+    path.write_bytes(path.read_bytes()[:-100])
+    for damaged in (path, tmp_path / "nowhere.glb", tmp_path):
+        with pytest.raises(AssetError, match=rf"^{damaged} holds no usable indirect textures \([^\n]+\); bake the tree"):
+            read_indirect(damaged)
+
+
 # ---- levels --------------------------------------------------------------------------------------------------------
 
 
@@ -246,7 +468,7 @@ def test_keys_of_a_newer_treebake_are_passed_over(oak: Path) -> None:
 def test_a_level_for_each_height(height: int, level: int) -> None:
     levels = tuple(Level(f"oak_LOD{i}.glb", ("cloud",), 1, 2, 0, 100, h) for i, h in enumerate((300, 50, 20)))
     source = example_manifest().source
-    asset = Asset(Path("oak"), Manifest(1, "treebake", "oak", source, levels, ()))
+    asset = Asset(Path("oak"), Manifest(1, "treebake", "oak", source, levels, None, ()))
     assert asset.level_for(height) == Path(f"oak/oak_LOD{level}.glb")
 
 
@@ -261,7 +483,9 @@ def example_manifest() -> Manifest:
 
 def test_the_example_is_a_manifest(tmp_path: Path) -> None:
     example = example_manifest()
-    for file in [level.file for level in example.levels] + [image.file for image in example.textures]:
+    assert example.indirect is not None
+    files = [level.file for level in example.levels] + [image.file for image in example.textures]
+    for file in [*files, example.indirect.file]:
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).touch()
     (tmp_path / "manifest.json").write_bytes(msgspec.json.encode(example))
@@ -271,6 +495,9 @@ def test_the_example_is_a_manifest(tmp_path: Path) -> None:
 def test_the_example_has_the_files_that_are_written(oak: Path) -> None:
     example, written = example_manifest(), read_asset(oak).manifest
     assert [level.file for level in example.levels] == [level.file for level in written.levels]
+    assert example.indirect is not None
+    assert written.indirect is not None
+    assert example.indirect.file == written.indirect.file
     assert [(image.file, image.color_space) for image in example.textures] == [
         (image.file, image.color_space) for image in written.textures
     ]

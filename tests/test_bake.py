@@ -144,6 +144,37 @@ def test_a_cutout_shows_what_is_behind() -> None:
     assert np.allclose(bake_atlas(parts, [clear, green], SIZE, 1)[0][:8, :8], (0, 1, 0, 1), atol=HALF)
 
 
+# ---- depth ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("depth", [-0.75, 0.0, 0.5])
+def test_depth_is_premultiplied_by_coverage(depth: float) -> None:
+    found = bake_atlas(box((0, 1.5), (0, 1), depth=depth), [WHITE], SIZE, 4)[2]
+    assert found.shape == (32, 64)
+    assert np.allclose(found[0, :3], (depth, depth / 2, 0), atol=HALF)
+
+
+def test_depth_is_that_of_what_is_seen() -> None:
+    parts = both(box((0, 8), (0, 8), depth=-0.5), box((4, 12), (0, 8), depth=0.25))
+    found = bake_atlas(parts, [WHITE], SIZE, 2)[2]
+    assert np.allclose(found[:8, :4], -0.5, atol=HALF)
+    assert np.allclose(found[:8, 4:12], 0.25, atol=HALF)
+    assert not found[8:].any()
+
+
+def test_depth_behind_a_cutout_is_what_shows_through() -> None:
+    clear = flat_color((255, 0, 0, 100), alpha_mode=AlphaMode.MASK)
+    parts = both(box((0, 8), (0, 8), depth=0.5), box((0, 8), (0, 8), depth=-0.25, material=1))
+    assert np.allclose(bake_atlas(parts, [clear, WHITE], SIZE, 1)[2][:8, :8], -0.25, atol=HALF)
+
+
+def test_depth_is_interpolated_along_a_slanted_triangle() -> None:
+    slanted = box((0, 32), (0, 8))
+    slanted.positions[..., 2] = slanted.positions[..., 0] / 32 - 0.5
+    found = bake_atlas(slanted, [WHITE], SIZE, 4)[2][:8, :32]
+    assert np.allclose(found, (np.arange(32) + 0.5) / 32 - 0.5, atol=HALF)
+
+
 # ---- normals -------------------------------------------------------------------------------------------------------
 
 

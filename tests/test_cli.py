@@ -18,6 +18,7 @@ from treebake import cli, pipeline
 from treebake.glb import write_glb
 from treebake.images import encode_png
 from treebake.model import Material, Mesh
+from treebake.verify.cameras import CLOSE_UP
 
 COMMANDS = {"grow", "cluster", "textures", "bake", "verify", "inspect"}
 TEXTURES = ["--set", "textures.atlas=128", "--set", "textures.supersample=1"]
@@ -197,6 +198,8 @@ def test_bake_publishes_and_says_what(tmp_path: Path, tree: Path, treebake: Call
     assert facts["asset"] == str(tmp_path / "out/tree")
     assert (facts["leaves"], facts["billboards"], facts["source_triangles"]) == (40, 7, 52)
     assert (tmp_path / "out/tree/tree_LOD0.glb").exists()
+    assert (facts["indirect"]["file"], facts["indirect"]["leaves"]) == ("tree.glb", 40)
+    assert (tmp_path / "out/tree/tree.glb").exists()
 
 
 def test_two_bakes_give_the_same_bytes(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
@@ -211,7 +214,7 @@ def test_second_bake_skips_the_stages_and_says_so(tmp_path: Path, tree: Path, tr
     treebake("bake", tree, "-o", tmp_path, *TEXTURES)
     again = treebake("bake", tree, "-o", tmp_path, *TEXTURES)
     skipped = [line.split()[0] for line in again.lines if line.endswith("up to date")]
-    assert skipped == ["split", "twigs", "cluster", "billboards", "trunk"]
+    assert skipped == ["split", "twigs", "cluster", "indirect_cluster", "billboards", "indirect", "trunk"]
     forced = treebake("bake", tree, "-o", tmp_path, *TEXTURES, "--force")
     assert "up to date" not in forced.err
 
@@ -222,15 +225,20 @@ def test_only_what_depends_on_a_setting_runs_again(
     treebake("bake", tree, "-o", tmp_path, *TEXTURES)
     again = treebake("bake", tree, "-o", tmp_path, *TEXTURES, "--trunk-triangles", 100)
     skipped = [line.split()[0] for line in again.lines if line.endswith("up to date")]
-    assert skipped == ["split", "cluster", "billboards"]  # twigs ran, with the same outcome
+    # twigs ran, with the same outcome
+    assert skipped == ["split", "cluster", "indirect_cluster", "billboards", "indirect"]
+    again = treebake("bake", tree, "-o", tmp_path, *TEXTURES, "--set", "indirect_cluster.billboards=3")
+    skipped = [line.split()[0] for line in again.lines if line.endswith("up to date")]
+    assert skipped == ["split", "cluster", "billboards"]  # the trunk's budget, too, is another again
 
 
 def test_cluster_then_textures_is_bake(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
     treebake("bake", tree, "-o", tmp_path, *TEXTURES)
     assert treebake("cluster", tree, "-o", tmp_path / "work").code == 0
     assert treebake("textures", tmp_path / "work", "-o", tmp_path / "out", *TEXTURES).code == 0
-    baked, made = ((tmp_path / folder / "tree/tree_LOD0.glb").read_bytes() for folder in (".", "out"))
-    assert baked == made
+    for name in ("tree_LOD0.glb", "tree.glb"):
+        baked, made = ((tmp_path / folder / "tree" / name).read_bytes() for folder in (".", "out"))
+        assert baked == made
 
 
 def test_textures_without_cluster_names_the_command(tmp_path: Path, treebake: Callable[..., Outcome]) -> None:
@@ -255,7 +263,9 @@ def test_tree_without_leaves_is_all_trunk_with_a_warning(tmp_path: Path, treebak
     result = treebake("bake", tmp_path / "bare.glb", "-o", tmp_path / "out", *TEXTURES, "--json")
     assert result.code == 0, result.err
     assert "treebake: warning: split: no foliage" in result.err
-    assert json.loads(result.out)["levels"][0]["representations"] == "trunk"
+    facts = json.loads(result.out)
+    assert facts["levels"][0]["representations"] == "trunk"
+    assert facts["indirect"] == {}
 
 
 @pytest.mark.parametrize(
@@ -316,7 +326,8 @@ def test_a_real_ctrl_c_leaves_no_half_written_file(tmp_path: Path) -> None:
     assert process.returncode == 130, rest
     assert "Traceback" not in rest
     written = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
-    assert written <= {"source.npz", "split.npz", "twigs.npz", "cluster.npz", "billboards.npz", "trunk.npz"}
+    stages = {"split", "twigs", "cluster", "indirect_cluster", "billboards", "indirect", "trunk"}
+    assert written <= {"source.npz"} | {f"{stage}.npz" for stage in stages}
 
 
 @pytest.mark.parametrize("verbose", [False, True])
@@ -397,15 +408,28 @@ def test_verify_writes_a_report_and_passes(asset: Path, tree: Path, treebake: Ca
     assert result.code == 0, result.err
     facts = json.loads(result.out)
     assert facts["report"] == str(asset / "report")
-    assert [row["height"] for row in facts["heights"]] == [32]
-    assert json.loads((asset / "report/report.json").read_text())["heights"] == facts["heights"]
-    assert (asset / "report/32px.png").exists()
+    assert list(facts["representations"]) == ["cloud", "cloud_same_bytes", "indirect"]
+    for name, found in facts["representations"].items():
+        assert [row["height"] for row in found["heights"]] == [32]
+        assert found["close_up"]["height"] == CLOSE_UP
+        assert {f"{name}_32px.png", f"{name}_close.png"} < {path.name for path in (asset / "report").iterdir()}
+    assert json.loads((asset / "report/report.json").read_text()) == facts["representations"]
+
+
+def test_verify_judges_the_representations_asked_for(asset: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    only = ("--set", 'verify.representations=["indirect"]')
+    result = treebake("verify", asset, "--source", tree, *SMALL, *only, "--json")
+    assert list(json.loads(result.out)["representations"]) == ["indirect"]
+    assert [path.name for path in (asset / "report").glob("*_32px.png")] == ["indirect_32px.png"]
+    result = treebake("verify", asset, "--source", tree, *SMALL, "--set", 'verify.representations=["indirec"]')
+    assert (result.code, len(result.lines)) == (2, 1)
+    assert "has no indirec, only cloud, cloud_same_bytes, indirect; change verify.representations" in result.err
 
 
 def test_verify_keeps_the_source_out_of_the_asset(asset: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
     treebake("verify", asset, "--source", tree, *SMALL)
     assert not list((asset / "report").rglob("*.npz"))
-    assert len(list((tree.parent / "cache/treebake").iterdir())) == 1
+    assert len(list((tree.parent / "cache/treebake").iterdir())) == 2  # at 32 pixels and close up, for all candidates
 
 
 @pytest.mark.parametrize(("change", "what"), [("triangles", "triangles differ"), ("up", "bounds differ")])
@@ -424,8 +448,9 @@ def test_verify_against_another_source_is_a_warning(
 def test_missed_threshold_is_named_and_exits_1(asset: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
     result = treebake("verify", asset, "--source", tree, *SMALL, "-q", "--threshold", "ssim_min.32=1.01")
     assert result.code == 1
-    assert result.lines[0].startswith("treebake: missed: ")
-    assert "ssim at 32 px" in result.err
+    assert [line.partition(": ssim at 32 px is ")[0] for line in result.lines] == [
+        f"treebake: missed: {name}" for name in ("cloud", "cloud same bytes", "indirect")
+    ]
 
 
 def test_verify_judges_a_third_party_file(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
@@ -436,7 +461,7 @@ def test_verify_judges_a_third_party_file(tmp_path: Path, tree: Path, treebake: 
     assert result.code == 0, result.err
     facts = json.loads(result.out)
     assert facts["report"] == str(tmp_path / "theirs/copy_report")
-    assert facts["heights"][0]["flip"] == 0
+    assert facts["representations"]["candidate"]["heights"][0]["flip"] == 0
 
 
 def test_load_settings_are_for_the_source_alone(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:

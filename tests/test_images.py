@@ -13,7 +13,18 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from treebake.errors import InputError, WorkspaceError
-from treebake.images import bleed, decode_image, encode_png, flip_error, read_image, to_linear, to_srgb, write_png
+from treebake.images import (
+    bleed,
+    decode_image,
+    encode_floats,
+    encode_png,
+    flip_error,
+    mip_chain,
+    read_image,
+    to_linear,
+    to_srgb,
+    write_png,
+)
 
 GREY, RGB, PALETTE, GREY_ALPHA, RGBA = 0, 2, 3, 4, 6  # PNG's colour types
 
@@ -191,6 +202,98 @@ def test_full_disk_is_not_taken_for_success() -> None:
             encode_png(noise(4, (256, 256)))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+def stored(data: bytes, path: Path, kind: object) -> np.ndarray:
+    """The values of an image file in the type in which they are stored."""
+    path.write_bytes(data)
+    file = oiio.ImageInput.open(str(path))
+    assert file.spec().format == kind
+    return np.asarray(file.read_image(kind))
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (2, 1024)])
+def test_words_round_trip_as_a_grey_png(size: tuple[int, int], tmp_path: Path) -> None:
+    words = np.random.default_rng(0).integers(0, 1 << 16, size, np.uint16)
+    words.flat[-1] = 0xFF00  # the bytes of a word are not swapped
+    found = stored(encode_png(words), tmp_path / "words.png", oiio.UINT16)
+    assert found.shape == (*size, 1)
+    assert (found[..., 0] == words).all()
+    assert [name for name, _ in chunks_of(encode_png(words))] == [b"IHDR", b"IDAT", b"IEND"]
+
+
+def test_words_are_grey_by_the_letter_of_the_specification() -> None:
+    head = dict(chunks_of(encode_png(np.zeros((2, 3), np.uint16))))[b"IHDR"]
+    assert struct.unpack(">IIBBBBB", head) == (3, 2, 16, GREY, 0, 0, 0)
+
+
+@settings(max_examples=25, deadline=None)
+@given(arrays(np.uint32, st.tuples(st.integers(1, 5), st.integers(1, 9), st.just(4))))
+def test_floats_round_trip_to_the_bit(tmp_path_factory: pytest.TempPathFactory, bits: np.ndarray) -> None:
+    # Any bits: NaN, infinities, -0.0 and subnormal numbers are among them, and the fourth value is no alpha.
+    table = bits.view(np.float32)
+    found = stored(encode_floats(table), tmp_path_factory.getbasetemp() / "table.exr", oiio.FLOAT)
+    assert found.shape == table.shape
+    assert found.tobytes() == table.tobytes()
+
+
+def test_full_disk_is_not_taken_for_a_written_table() -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    noisy = np.random.default_rng(0).random((128, 128, 4), np.float32)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        with pytest.raises(WorkspaceError, match=r"table\.exr cannot be written \([^\n]+\); free some space"):
+            encode_floats(noisy)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+# ---- mips ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("size", "below"),
+    [
+        ((1, 1), []),
+        ((2, 2), [(1, 1)]),
+        ((1, 4), [(1, 2), (1, 1)]),
+        ((8, 2), [(4, 1), (2, 1), (1, 1)]),
+        ((5, 3), [(2, 1), (1, 1)]),
+        ((7, 13), [(3, 6), (1, 3), (1, 1)]),
+    ],
+)
+@pytest.mark.parametrize("srgb", [False, True])
+def test_mips_go_down_to_one_texel(size: tuple[int, int], below: list[tuple[int, int]], srgb: bool) -> None:
+    pixels = noise(4, size)
+    first, *rest = mip_chain(pixels, srgb=srgb)
+    assert (first == pixels).all()
+    assert [mip.shape for mip in rest] == [(*shape, 4) for shape in below]
+    assert all(mip.dtype == np.uint8 for mip in rest)
+
+
+def test_data_is_averaged_as_it_is() -> None:
+    pixels = np.array([[[0, 10, 255, 0], [100, 10, 255, 255]], [[200, 10, 0, 0], [100, 30, 0, 255]]], np.uint8)
+    assert mip_chain(pixels, srgb=False)[1].tolist() == [[[100, 15, 128, 128]]]
+
+
+def test_colour_is_averaged_in_linear_light_and_alpha_as_it_is() -> None:
+    pixels = np.array([[[0, 50, 255, 0], [255, 50, 255, 255]]], np.uint8)
+    # Half of all light is sRGB 188, not 128.
+    assert mip_chain(pixels, srgb=True)[1].tolist() == [[[188, 50, 255, 128]]]
+
+
+def test_a_lone_last_row_is_left_out() -> None:
+    pixels = np.zeros((3, 2, 4), np.uint8)
+    pixels[:2], pixels[2] = 100, 255
+    assert (mip_chain(pixels, srgb=False)[1] == 100).all()
+
+
+def test_mips_are_not_rounded_on_the_way() -> None:
+    # 1, 0, 0, 0 four times over: 0.25 rounds to 0, so that rounded mips of 0.5 in two texels would be lost as well.
+    pixels = np.zeros((4, 4, 4), np.uint8)
+    pixels[0::2, 0::2] = 2  # a quarter of the texels: 0.5 in every mip
+    pixels[0, 1] = 1  # and a little more in one
+    assert mip_chain(pixels, srgb=False)[2].tolist() == [[[1] * 4]]
 
 
 # ---- colour --------------------------------------------------------------------------------------------------------

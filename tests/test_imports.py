@@ -11,8 +11,8 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Which rooms each layer may import from, besides itself; a room is the first name below `treebake`.
 LAYERS = {
-    "ground": {"model", "errors", "geometry", "flatten", "packing", "placements", "resources", "files", "tubes"},
-    "services": {"images", "meshes", "formats", "glb", "gl"},
+    "ground": {"model", "errors", "geometry", "flatten", "packing", "placements", "lookup", "resources", "files", "tubes"},
+    "services": {"images", "compression", "meshes", "formats", "glb", "gl"},
     "stages": {"stages"},
     "asset": {"asset"},
     "verify": {"verify"},

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from treebake.errors import BudgetError
-from treebake.model import Doubles
-from treebake.packing import pack, texel_sizes
+from treebake.model import Doubles, Ints
+from treebake.packing import pack, pack_cells, texel_sizes
 
 ENOUGH = 100.0  # texels per unit
 
@@ -88,3 +88,71 @@ def test_a_long_thin_card() -> None:
 def test_packing_keeps_its_promises(seed: int, count: int, limit: int, padding: int, scale: float) -> None:
     sizes = scale * np.random.default_rng(seed).lognormal(0, 1, (count, 2))
     assert_packed(sizes, limit, 50.0 / scale, padding)
+
+
+# ---- cells ---------------------------------------------------------------------------------------------------------
+
+
+def cells(*sizes: tuple[int, int]) -> Ints:
+    return np.array(sizes, np.int32)
+
+
+@settings(deadline=None, max_examples=100)
+@given(
+    sizes=st.lists(st.tuples(st.integers(1, 20), st.integers(1, 20)), min_size=1, max_size=40),
+    limit=st.sampled_from([16, 32, 64, 128]),
+)
+def test_cells_are_packed_apart_and_inside(sizes: list[tuple[int, int]], limit: int) -> None:
+    packed = pack_cells(cells(*sizes), limit)
+    area = sum(w * h for w, h in sizes)
+    if packed is None:
+        # Shelves waste less than half and a last row, so only what is nearly full or too long may be refused.
+        assert max(max(size) for size in sizes) > limit or 2 * area > limit * (limit - 20)
+        return
+    origins, (width, height) = packed
+    assert width & (width - 1) == 0
+    assert max(width, height) <= limit
+    taken = np.zeros((height, width), np.int32)
+    for (x, y), (w, h) in zip(origins.tolist(), sizes, strict=True):
+        assert x >= 0
+        assert y >= 0
+        assert x + w <= width
+        assert y + h <= height
+        taken[y : y + h, x : x + w] += 1
+    assert taken.max() == 1
+    assert taken.sum() == area
+    assert taken[-1].any()  # no empty row below
+
+
+@pytest.mark.parametrize(
+    ("sizes", "size"),
+    [
+        (cells((1, 1)), (1, 1)),
+        (cells((3, 5)), (4, 5)),  # the width is a power of two, the height is not
+        (cells((3, 5), (1, 5)), (4, 5)),
+        (cells((4, 4), (4, 4), (4, 4)), (4, 12)),  # all of it used; a square would have a hole
+        (cells((16, 1), (1, 1)), (16, 2)),
+    ],
+)
+def test_cells_get_the_smallest_atlas(sizes: Ints, size: tuple[int, int]) -> None:
+    packed = pack_cells(sizes, 16)
+    assert packed is not None
+    assert packed[1] == size
+
+
+@pytest.mark.parametrize("sizes", [cells((17, 1)), cells((1, 17)), cells(*[(16, 1)] * 17), cells((9, 9), (9, 9))])
+def test_cells_that_do_not_fit_are_told_apart(sizes: Ints) -> None:
+    assert pack_cells(sizes, 16) is None
+
+
+def test_cells_may_fill_the_limit() -> None:
+    packed = pack_cells(cells(*[(4, 4)] * 16), 16)
+    assert packed is not None
+    assert packed[1][0] * packed[1][1] == 256
+    assert len(set(map(tuple, packed[0].tolist()))) == 16
+
+
+def test_cells_are_left_alone() -> None:
+    sizes = cells((3, 1), (1, 2))
+    pack_cells(sizes, 16)
+    assert sizes.tolist() == [[3, 1], [1, 2]]

@@ -34,10 +34,11 @@ def test_foliage_keeps_its_coverage_at_256_pixels(
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     source = tree(name)
-    options = ("--config", CONFIGS / f"{source.stem}.toml", "-q")
+    options = ("--config", CONFIGS / f"{source.stem}.toml", "--set", 'verify.representations=["cloud"]', "-q")
     assert treebake(monkeypatch, "bake", source, "-o", tmp_path, *options) == 0
     bounds = ("--threshold", "foliage_coverage_min=0.95", "--threshold", "foliage_coverage_max=1.05")
     code = treebake(monkeypatch, "verify", tmp_path / source.stem, "--source", source, "--quick", *options, *bounds)
     assert code == 0, capsys.readouterr().err
-    heights = json.loads((tmp_path / source.stem / "report/report.json").read_text())["heights"]
-    assert [height["height"] for height in heights] == [256]
+    report = json.loads((tmp_path / source.stem / "report/report.json").read_text())
+    assert list(report) == ["cloud"]
+    assert [height["height"] for height in report["cloud"]["heights"]] == [256]

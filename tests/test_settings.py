@@ -1,5 +1,6 @@
 """Settings: one source of defaults, later layers win, and errors that name the file and the key."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,19 @@ def test_trunk_budget_is_the_twigs_too_unless_they_have_their_own() -> None:
     assert (both.trunk.triangles, both.twigs.trunk_triangles) == (500, 500)
     own = load_settings(overrides={"trunk": {"triangles": 500}, "twigs": {"trunk_triangles": 900}})
     assert (own.trunk.triangles, own.twigs.trunk_triangles) == (500, 900)
+
+
+def test_the_thick_planes_have_defaults_of_their_own(tmp_path: Path) -> None:
+    thick, flat = Settings().indirect_cluster, Settings().cluster
+    assert (thick.billboards, thick.angle_weight, thick.compactness) == (278, 1.0, 0.5)
+    assert thick.billboards < flat.billboards
+    assert thick.compactness > flat.compactness
+    defaults = {name: keys()[f"indirect_cluster.{name}"].default for name in ("billboards", "compactness")}
+    assert defaults == {"billboards": 278, "compactness": 0.5}  # what the help shows
+    partly = load_settings([written(tmp_path, "[indirect_cluster]\nbillboards = 107\n")])
+    assert partly.indirect_cluster == replace(thick, billboards=107)
+    assert partly.cluster == flat
+    assert load_settings(overrides={"cluster": {"compactness": 0.2}}).indirect_cluster == thick
 
 
 def test_tables_within_settings_merge_too(tmp_path: Path) -> None:

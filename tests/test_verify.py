@@ -296,13 +296,14 @@ def test_the_report_holds_what_was_missed() -> None:
 
 def test_the_written_report(tmp_path: Path) -> None:
     report = verify(TREE, TREE.select(TREE.face_material != 0), FEW)
-    write_report(report, tmp_path / "new")
-    assert sorted(path.name for path in (tmp_path / "new").iterdir()) == ["32px.png", "64px.png", "report.json"]
+    write_report({"bare": report}, tmp_path / "new")
+    written = sorted(path.name for path in (tmp_path / "new").iterdir())
+    assert written == ["bare_32px.png", "bare_64px.png", "report.json"]
     text = (tmp_path / "new/report.json").read_text()
-    assert json.loads(text) == as_dict(report)
+    assert json.loads(text) == {"bare": as_dict(report)}
     assert text == json.dumps(json.loads(text), indent=2, sort_keys=True) + "\n"
 
-    sheet = read_image(tmp_path / "new/64px.png")
+    sheet = read_image(tmp_path / "new/bare_64px.png")
     side = 64 + MARGIN
     assert sheet.shape == (2 * side, 3 * side, 4)  # an elevation a row: source, candidate, FLIP
     source, candidate, flip = (sheet[:side, i * side : (i + 1) * side, :3].astype(int) for i in range(3))
@@ -314,7 +315,7 @@ def test_the_written_report(tmp_path: Path) -> None:
 
 def test_the_same_report_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("one", "two"):
-        write_report(verify(TREE, TREE, FEW), tmp_path / name)
+        write_report({"same": verify(TREE, TREE, FEW)}, tmp_path / name)
     for path in (tmp_path / "one").iterdir():
         assert path.read_bytes() == (tmp_path / "two" / path.name).read_bytes()
 
@@ -322,16 +323,33 @@ def test_the_same_report_gives_the_same_bytes(tmp_path: Path) -> None:
 def test_a_report_that_cannot_be_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(WorkspaceError, match="cannot be written"):
-        write_report(verify(TREE, TREE, FEW), tmp_path / "file")
+        write_report({"tree": verify(TREE, TREE, FEW)}, tmp_path / "file")
 
 
 def test_the_table_shows_every_height_with_its_scale() -> None:
-    lines = format_table(verify(TREE, NOTHING, FEW)).splitlines()
+    lines = format_table({"candidate": verify(TREE, NOTHING, FEW)}).splitlines()
     assert len(lines) == 1 + 2 * 4
-    assert lines[1].split()[:2] == ["64", "candidate"]
+    assert lines[1].split()[:2] == ["64px", "candidate"]
     assert lines[3].split()[:4] == ["floor", "1px", lines[3].split()[2], lines[3].split()[3]]
     assert "1.000" in lines[3]
     assert lines[4].split()[0] == "empty"
+
+
+def test_the_table_shows_every_representation_above_one_scale() -> None:
+    lines = format_table({"same_bytes": verify(TREE, TREE, FEW), "none": verify(TREE, NOTHING, FEW)}).splitlines()
+    assert len(lines) == 1 + 2 * 5
+    assert lines[1].split()[:4] == ["64px", "same", "bytes", "="]  # invisible
+    assert lines[2].split()[0] == "none"
+    assert [line.split()[0] for line in lines[3:7]] == ["floor", "floor", "empty", "32px"]
+
+
+def test_every_representation_has_its_sheets_in_one_report(tmp_path: Path) -> None:
+    reports = {"full": verify(TREE, TREE, FEW), "none": verify(TREE, NOTHING, FEW)}
+    write_report(reports, tmp_path)
+    sheets = {f"{name}_{height}px.png" for name in reports for height in (32, 64)}
+    assert {path.name for path in tmp_path.iterdir()} == sheets | {"report.json"}
+    kept = json.loads((tmp_path / "report.json").read_text())
+    assert {name: kept[name]["heights"][0]["coverage"] for name in kept} == {"full": 1, "none": 0}
 
 
 def test_meshes_without_textures_or_nodes_in_common_can_be_compared() -> None:

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from tests.synthetic import joined, quad, small_tree, texture
 from treebake.gl.draw import Picture
 from treebake.images import flip_error, to_srgb
-from treebake.model import Material
-from treebake.verify.metrics import GREY, SKY, draw_calls, gpu_bytes, over, score, score_all, similarity
+from treebake.model import IndirectTextures, Material
+from treebake.verify.cost import Cost, cost_of
+from treebake.verify.metrics import GREY, SKY, over, score, score_all, similarity
 
 SIZE = 64
 
@@ -114,11 +115,11 @@ def test_an_error_while_scoring_is_raised() -> None:
 
 
 def test_a_draw_call_for_each_material_of_each_node() -> None:
-    assert draw_calls(small_tree()) == 4
+    assert cost_of(small_tree()).draw_calls == 4
     one_node = replace(small_tree(), face_node=np.zeros(8, np.int32))
-    assert draw_calls(one_node) == 4  # the three leaves have a material each
-    assert draw_calls(replace(one_node, face_material=np.array([0, 0] + [1] * 6, np.int32))) == 2
-    assert draw_calls(small_tree().select(np.zeros(8, bool))) == 0
+    assert cost_of(one_node).draw_calls == 4  # the three leaves have a material each
+    assert cost_of(replace(one_node, face_material=np.array([0, 0] + [1] * 6, np.int32))).draw_calls == 2
+    assert cost_of(small_tree().select(np.zeros(8, bool))).draw_calls == 0
 
 
 def test_gpu_bytes_count_each_used_texture_once_with_mipmaps() -> None:
@@ -126,4 +127,30 @@ def test_gpu_bytes_count_each_used_texture_once_with_mipmaps() -> None:
     maps = Material("maps", color_map=image, normal_map=texture(np.zeros((1, 1, 3))))
     unused = Material("unused", color_map=texture(np.zeros((64, 64, 3))))
     mesh = joined(quad(maps), quad(Material("same", color_map=image)), quad(unused)).select(np.arange(6) < 4)
-    assert gpu_bytes(mesh) == 4 * (8 + 2 + 1) + 4 * 1 + 8 * 32 + 12 * 4
+    assert cost_of(mesh).gpu_bytes == 4 * (8 + 2 + 1) + 4 * 1 + 8 * 32 + 12 * 4
+
+
+def test_indirect_billboards_cost_a_draw_call_a_box_each_and_their_bytes() -> None:
+    def words(kind: type, *shape: int) -> np.ndarray:
+        return np.zeros(shape, kind)
+
+    image, small = texture(np.zeros((4, 8, 3))), texture(np.zeros((1, 1, 3)))
+    layers = IndirectTextures(
+        billboards=words(np.float32, 3, 20),
+        shapes=words(np.float32, 1, 16),
+        hash_texture=words(np.uint32, 2, 4),
+        lists_texture=words(np.uint16, 1, 1024),
+        placements=words(np.uint32, 1, 1024, 4),
+        ambient=words(np.uint8, 1, 1024, 4),
+        leaves=7,
+        largest=1.0,
+        leaf_color=image,
+        leaf_normal=image,
+        far_color=small,
+        far_normal=small,
+    )
+    tables = 3 * 80 + 64 + 8 * 4 + 1024 * (2 + 16 + 4)
+    blocks = 5 * (16 + 24) + 16 + 16  # 8 x 4 texels are two blocks; its mips 4 x 2, 2 x 1 and 1 x 1 one each
+    alone = cost_of(small_tree())
+    assert cost_of(small_tree(), layers) == Cost(8 + 3 * 12, 4 + 1, alone.gpu_bytes + tables + blocks)
+    assert alone.triangles == 8

@@ -7,9 +7,16 @@ depends on the processor's instructions.
 
 import numpy as np
 
-from treebake.model import Bytes, Floats
+from treebake.images import mip_chain
+from treebake.model import Bytes, Floats, Texture
 
 _FIVE_SIX_FIVE = np.array([31, 63, 31], np.float32)
+
+
+def compressed_mips(texture: Texture, *, srgb: bool) -> list[Bytes]:
+    """A texture's mips as they come out of compression: with srgb a colour map's (BC3), else channel by channel (BC4)."""
+    through = through_bc3 if srgb else through_bc4
+    return [through(mip) for mip in mip_chain(texture.pixels, srgb=srgb)]
 
 
 def through_bc3(pixels: Bytes) -> Bytes:

@@ -8,7 +8,8 @@ Four words of 32 bits, from the least significant bit:
     word 3   c 13, left out 2, mirrored 1, shape 14, two bits 0
 
 a, b, c are the quaternion without its largest part, which is positive and is left out: `left out` says which of
-(x, y, z, w) it is. They run from -1/sqrt(2) to 1/sqrt(2), which is 0..8191. No leaf is off by more than 0.04 degrees.
+(x, y, z, w) it is. They run from -1/sqrt(2) to 1/sqrt(2), which is 0..8190, so that 0 is one of the values. No leaf is
+off by more than 0.04 degrees.
 """
 
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ SHAPES = 1 << 14  # that the bits can tell apart
 
 _POSITION = 65535
 _SCALE_BITS, _NARROW_BITS = (12, 4), (3, 3)  # mantissa, exponent
-_PART = 8191
+_PART, _PART_BITS = 8190, (1 << 13) - 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ def pack(placed: Placements) -> Words:
 def unpack(words: Words) -> Placements:
     """Decode placements (N, 4) uint32."""
     one, two, three, four = words.astype(np.int64).T
-    parts = np.stack([three & _PART, three >> 13 & _PART, four & _PART], axis=1)
+    parts = np.stack([three & _PART_BITS, three >> 13 & _PART_BITS, four & _PART_BITS], axis=1)
     kept = (parts / _PART - 0.5) * np.sqrt(2)
     left_out = four >> 13 & 3
     quaternion = np.empty((len(words), 4))

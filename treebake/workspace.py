@@ -26,16 +26,7 @@ from treebake.files import atomic
 
 T = TypeVar("T")
 _PACKAGE = Path(__file__).parent
-_GROUND = (
-    "model.py",
-    "geometry.py",
-    "flatten.py",
-    "packing.py",
-    "placements.py",
-    "images.py",
-    "gl",
-    "tubes",
-)  # part of every version
+_GROUND = "model geometry flatten packing placements lookup images compression gl tubes".split()  # in every version
 _DAMAGED = (OSError, KeyError, ValueError, TypeError, AttributeError, zipfile.BadZipFile)
 
 
@@ -225,7 +216,8 @@ def _class(name: str) -> Any:
 def _code(module: str) -> str:
     """The version of a stage: a digest of its own file or package, and of what every stage builds on."""
     own = _PACKAGE.joinpath(*module.split(".")[1:3])  # treebake.stages.NAME, with what is below it
-    roots = [*(_PACKAGE / name for name in _GROUND), own, own.with_suffix(".py")]
+    parts = [own, *(_PACKAGE / name for name in _GROUND)]
+    roots = [root for part in parts for root in (part, part.with_suffix(".py"))]
     files = [file for root in roots for file in ([root] if root.is_file() else sorted(root.rglob("*")))]
     return _digest([[file.name, file.read_text("utf-8")] for file in files if file.suffix in {".py", ".glsl"}])
 

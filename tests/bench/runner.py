@@ -13,6 +13,15 @@ from typing import Any
 TREES = Path(__file__).parents[3] / "shared/trees"
 
 
+_MEASURED = """
+import resource, treebake.cli
+try:
+    treebake.cli.main()
+finally:
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2)  # Linux counts in KiB
+"""
+
+
 class NotMeasured(Exception):  # noqa: N818, it is no error
     """Why a row has no figure in this run."""
 
@@ -50,12 +59,19 @@ class Runner:
         out = self.folder / into
         return Path(self.treebake("bake", self.source(name), "-o", out, "--force", *options)["asset"])
 
-    def _scores(self, name: str, *options: str, into: str = "bakes", heights: tuple[int, ...]) -> dict[int, Any]:
-        """Verify a baked tree; returns the figures by height."""
+    def _scores(
+        self, name: str, *options: str, into: str = "bakes", heights: tuple[int, ...], of: str = "cloud"
+    ) -> dict[int | str, Any]:
+        """Verify one representation of a baked tree; returns the figures by height, and those of the "close" views."""
         asset = self.asset(name, *options, into=into)
-        sizes = f"verify.heights={list(heights)}"
-        command = ("verify", asset, "--source", self.source(name), "--set", sizes, *_configs(options))
-        return {row["height"]: row for row in self.treebake(*command)["heights"]}
+        choices = "--set", f"verify.heights={list(heights)}", "--set", f'verify.representations=["{of}"]'
+        found = self.treebake("verify", asset, "--source", self.source(name), *choices, *_configs(options))
+        report = found["representations"][of]
+        return {row["height"]: row for row in report["heights"]} | {"close": report["close_up"]}
+
+    def manifest(self, name: str, *options: str, into: str = "bakes") -> Any:
+        """The manifest of a baked tree."""
+        return json.loads((self.asset(name, *options, into=into) / "manifest.json").read_text())
 
     def render_seconds(self, name: str) -> float:
         """R: the median time of one 1024 x 1024 render of the source, plain: one sample a pixel, nothing read back."""
@@ -77,6 +93,15 @@ class Runner:
         views = [camera.view(1024 - MARGIN) for camera in cameras(mesh, (0.0, 25.0, 60.0), 8)]
         render(views[0])  # the first one compiles
         return median(_timed(lambda view=view: render(view)) for view in views)
+
+    def bake_memory(self, species: str, leaves: int, *options: str) -> float:
+        """The greatest memory, in GB, of a bake of a grown tree with so many leaves."""
+        path = self.folder / f"{species}_{leaves}.glb"
+        self.treebake("grow", species, "--leaves", leaves, "-o", path)
+        bake = ["bake", path, "-o", self.folder / "large", "--force", "-q", *options]
+        command = [sys.executable, "-c", _MEASURED, *map(str, bake)]
+        done = subprocess.run(command, check=True, capture_output=True, text=True)
+        return float(done.stdout.split()[-1])
 
     def bake_seconds(self, name: str, *options: str) -> float:
         """The wall time of `treebake bake` from process start to exit."""

@@ -3,6 +3,7 @@
 FORMAT.md describes it, and the types here are its schema.
 """
 
+import json
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from treebake.compression import block_bytes
 from treebake.errors import AssetError, InputError
 from treebake.formats.gltf_file import GltfFile
 from treebake.glb import write_glb
+from treebake.lookup import LIST_BITS
 from treebake.model import IndirectTextures, Mesh, Texture
 
 TABLES = {  # name: values of one texel, texels of one row (0: of the image's own size)
@@ -54,6 +56,12 @@ class Extras:
 
     format: int
     indirect: IndirectExtras
+
+
+def extras_schema() -> str:
+    """The JSON schema of `extras.treebake`, which is kept as `extras.schema.json` beside this file."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(Extras)}
+    return json.dumps(schema, indent=2) + "\n"
 
 
 def write_indirect(path: Path, nodes: list[tuple[str, Mesh]], textures: IndirectTextures) -> None:
@@ -112,7 +120,7 @@ def _table(file: GltfFile, where: IndirectExtras, name: str) -> np.ndarray:
 def _damage(textures: IndirectTextures) -> str:
     """What is wrong with the tables, or nothing."""
     hashes = textures.hash_texture.astype(np.int64)
-    ends = (hashes >> 10) + (hashes & 1023)
+    ends = (hashes >> LIST_BITS) + (hashes & (1 << LIST_BITS) - 1)
     boards = textures.billboards
     sizes, origins, first = boards[:, 12:14], boards[:, 16:18], boards[:, 18]
     images = [getattr(textures, name) for name in IMAGES]
@@ -127,3 +135,7 @@ def _damage(textures: IndirectTextures) -> str:
         (textures.ambient.shape[:2] == textures.placements.shape[:2], "there is not one ambient entry per placement"),
     )
     return next((what for sound, what in checks if not sound), "")
+
+
+if __name__ == "__main__":
+    print(extras_schema(), end="")

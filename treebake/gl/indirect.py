@@ -5,11 +5,10 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from treebake.compression import through_bc3, through_bc4
+from treebake.compression import compressed_mips
 from treebake.gl.context import program
 from treebake.gl.view import View, column_major
-from treebake.images import mip_chain
-from treebake.model import Bytes, IndirectTextures, Texture
+from treebake.model import IndirectTextures, Texture
 
 _SRGB8_ALPHA8 = 0x8C43
 _CORNERS = 36  # vertices of a box
@@ -33,10 +32,8 @@ class IndirectBillboards:
             "placements": (textures.placements, "u4"),
         }
         self._textures = {name: self._table(*table) for name, table in tables.items()}
-        self._textures["leaf_color"] = self._image(_compressed_color(textures.leaf_color), srgb=True)
-        self._textures["leaf_normal"] = self._image(_compressed_data(textures.leaf_normal), srgb=False)
-        self._textures["far_color"] = self._image(_compressed_color(textures.far_color), srgb=True)
-        self._textures["far_normal"] = self._image(_compressed_data(textures.far_normal), srgb=False)
+        for name in ("leaf_color", "leaf_normal", "far_color", "far_normal"):
+            self._textures[name] = self._image(getattr(textures, name), srgb=name.endswith("color"))
         self._counter = program("indirect_count")
         self._array, self._count_array = (gl.vertex_array(each, []) for each in (self._program, self._counter))
 
@@ -80,7 +77,8 @@ class IndirectBillboards:
         table.filter = moderngl.NEAREST, moderngl.NEAREST
         return table
 
-    def _image(self, mips: list[Bytes], *, srgb: bool) -> moderngl.Texture:
+    def _image(self, texture: Texture, *, srgb: bool) -> moderngl.Texture:
+        mips = compressed_mips(texture, srgb=srgb)
         height, width = mips[0].shape[:2]
         options = {"internal_format": _SRGB8_ALPHA8} if srgb else {}
         image = self._gl.texture((width, height), 4, np.ascontiguousarray(mips[0]), **options)
@@ -90,11 +88,3 @@ class IndirectBillboards:
         image.filter = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
         image.repeat_x = image.repeat_y = False
         return image
-
-
-def _compressed_color(texture: Texture) -> list[Bytes]:
-    return [through_bc3(mip) for mip in mip_chain(texture.pixels, srgb=True)]
-
-
-def _compressed_data(texture: Texture) -> list[Bytes]:
-    return [through_bc4(mip) for mip in mip_chain(texture.pixels, srgb=False)]

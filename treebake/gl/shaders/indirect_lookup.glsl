@@ -82,7 +82,7 @@ Leaf read_leaf(int number, vec3 size) {
     vec3 place = vec3(word.x & 0xFFFFu, word.x >> 16, word.y & 0xFFFFu) / 65535.0;
     float scale = largest * small_float(word.y >> 16, 12);
     float narrowing = small_float(word.z >> 26, 3);
-    vec3 part = (vec3(word.z & 0x1FFFu, word.z >> 13 & 0x1FFFu, word.w & 0x1FFFu) / 8191.0 - 0.5) * sqrt(2.0);
+    vec3 part = (vec3(word.z & 0x1FFFu, word.z >> 13 & 0x1FFFu, word.w & 0x1FFFu) / 8190.0 - 0.5) * sqrt(2.0);
     float rest = sqrt(max(1.0 - dot(part, part), 0.0));
     uint left_out = word.w >> 13 & 3u;
     vec4 quaternion = left_out == 0u ? vec4(rest, part)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from treebake.errors import BudgetError
+from treebake.lookup import LIST_BITS
 from treebake.model import Doubles, Ints, Longs, Words
 
-LIST_BITS = 10  # of a hash texel: the count of its list; the other 22 are the offset
 _LEAVES = 1 << 16  # that a lists entry can name
 _WIDTH = 1024  # texels of the tables that are addressed by a running number
 

@@ -1,0 +1,260 @@
+"""The lookup of a view ray in indirect textures, in numpy: the readable twin of gl/shaders/indirect_lookup.glsl.
+
+Frames and names are those of the shader; asset/FORMAT.md gives the tables. The rays of one billboard are looked up at
+once: a loop over the cells that they walk through, within it one over the entries of the cells' lists.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from treebake.model import Bytes, Doubles, Floats, IndirectTextures, Ints
+from treebake.placements import unpack
+
+Mask = NDArray[np.bool_]
+
+LIST_BITS = 10  # of a hash texel: the length of the list; the bits above are its offset
+RELIEF_STEPS = 3
+MOST_LOD = 4.0
+_NEVER = 1e30
+_STEEPEST = 4.0  # how far sidewards of a leaf's plane its relief is looked for, in heights of the relief
+
+
+@dataclass(frozen=True, eq=False)
+class Billboard:
+    """One row of the billboards table. to_cells: (3, 4), from the tree's frame. Lengths in hash cells."""
+
+    to_cells: Doubles
+    size: Doubles  # (3,)
+    plane: float
+    origin: Ints  # (2,)
+    first: int
+    reach: float
+
+    @classmethod
+    def of(cls, row: Floats) -> "Billboard":
+        """Take a row (20,) of the table apart."""
+        values = row.astype(np.float64)
+        origin, first = values[16:18].astype(np.int32), int(values[18])
+        return cls(values[:12].reshape(3, 4), values[12:15], float(values[15]), origin, first, float(values[19]))
+
+
+@dataclass(frozen=True, eq=False)
+class Leaves:
+    """Decoded placements of N leaves, in cells of their billboard.
+
+    centers: (N, 3). frames: (N, 3, 3), columns right, down, away. scales: (N,), cells per half height. halves: (N, 3),
+    half the leaf's box in half heights. rod, mirrored: (N,) bool. front, back: (N, 4), places in texture coordinates.
+    thresholds: (N, 5), of the mips 0 to 4.
+    """
+
+    centers: Doubles
+    frames: Doubles
+    scales: Doubles
+    halves: Doubles
+    rod: Mask
+    mirrored: Mask
+    front: Doubles
+    back: Doubles
+    thresholds: Doubles
+
+    def of(self, rows: Ints) -> "Leaves":
+        """Some of them."""
+        return Leaves(*(values[rows] for values in vars(self).values()))
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """What R rays meet: along (R,), the ray's parameter; placement (R,) int32, -1 for nothing; uv (R, 2) in the leaves
+    texture; lod (R,); away (R,), cells behind the front; behind (R,) bool, whether the leaf's back is seen.
+    """
+
+    along: Doubles
+    placement: Ints
+    uv: Doubles
+    lod: Doubles
+    away: Doubles
+    behind: Mask
+
+
+def decode_leaves(textures: IndirectTextures, placement: Ints, size: Doubles) -> Leaves:
+    """Decode placements (N,) of a billboard whose box has `size` (3,) or, one each, (N, 3)."""
+    placed = unpack(textures.placements.reshape(-1, 4)[placement])
+    shape = textures.shapes[placed.shape].astype(np.float64)
+    return Leaves(
+        centers=placed.positions * size,
+        frames=placed.rotations,
+        scales=placed.scales * textures.largest,
+        halves=shape[:, :3] * np.stack([placed.narrowings, np.ones(len(shape)), np.ones(len(shape))], axis=1),
+        rod=shape[:, 3] > 0.5,
+        mirrored=placed.mirrored,
+        front=shape[:, 4:8],
+        back=shape[:, 8:12],
+        thresholds=np.column_stack([np.full(len(shape), 0.5), shape[:, 12:]]),
+    )
+
+
+def look_up(
+    textures: IndirectTextures,
+    color_mips: Sequence[Bytes],
+    height_mips: Sequence[Bytes],
+    number: int,
+    starts: Doubles,
+    ways: Doubles,
+    spreads: Doubles,
+    share: float = 1.0,
+    dither: float = 0.0,
+) -> Hits:
+    """The nearest leaf of billboard `number` that each ray meets.
+
+    color_mips, height_mips: the leaves textures with their mips. starts, ways: (R, 3), the rays in the tree's frame and
+    unit. spreads: (R, 2), distance of neighbouring samples at the rays' parameters 1 and 0, in the tree's unit. share:
+    of each list that is looked up, from the viewer's end; dither: 0..1, from where on a part of an entry counts.
+    """
+    board = Billboard.of(textures.billboards[number])
+    cells_per_unit = float(np.linalg.norm(board.to_cells[0, :3]))
+    start = starts @ board.to_cells[:, :3].T + board.to_cells[:, 3]
+    way = ways @ board.to_cells[:, :3].T
+    spread = spreads * cells_per_unit
+    front = way[:, 2] > 0
+    lists = textures.lists_texture.reshape(-1)
+    hits = _nothing(len(start))
+
+    inverse = 1 / np.where(np.abs(way) < 1e-12, 1e-12, way)
+    ends = np.stack([-start * inverse, (board.size - start) * inverse])
+    enter, leave = np.maximum(ends.min(axis=0).max(axis=1), 0), ends.max(axis=0).min(axis=1)
+    if board.size[2] == 0:
+        enter = leave = ends[0, :, 2]
+    grid = board.size[:2].astype(int)
+    cell = np.clip(np.floor(start[:, :2] + enter[:, None] * way[:, :2]).astype(int), 0, grid - 1)
+    step = np.sign(way[:, :2]).astype(int)
+    following = (cell + np.maximum(step, 0) - start[:, :2]) * inverse[:, :2]
+    inside = enter <= leave
+    while inside.any():
+        here = board.origin + np.clip(cell, 0, grid - 1)
+        texel = np.where(inside, textures.hash_texture[here[:, 1], here[:, 0]].astype(np.int64), 0)
+        count, offset = texel & (1 << LIST_BITS) - 1, texel >> LIST_BITS
+        wanted = (share * count + dither).astype(int)
+        for entry in range(int(wanted.max())):
+            ray = np.flatnonzero(entry < wanted)
+            place = offset[ray] + np.where(front[ray], entry, count[ray] - 1 - entry)
+            placement = board.first + lists[place].astype(np.int32)
+            leaves = decode_leaves(textures, placement, board.size)
+            _meet(leaves, placement, ray, start[ray], way[ray], spread[ray], color_mips, height_mips, hits)
+        turn, axis = following.min(axis=1), (following[:, 0] >= following[:, 1]).astype(int)
+        rows = np.arange(len(cell))
+        inside &= (turn <= leave) & (hits.along > turn)
+        cell[rows, axis] += step[rows, axis]
+        following[rows, axis] += np.abs(inverse[rows, axis])
+        inside &= ((cell >= 0) & (cell < grid)).all(axis=1)
+    return hits
+
+
+def _nothing(count: int) -> Hits:
+    return Hits(
+        along=np.full(count, _NEVER),
+        placement=np.full(count, -1, np.int32),
+        uv=np.zeros((count, 2)),
+        lod=np.zeros(count),
+        away=np.zeros(count),
+        behind=np.zeros(count, bool),
+    )
+
+
+def _meet(
+    leaves: Leaves,
+    placement: Ints,
+    ray: Ints,
+    start: Doubles,
+    way: Doubles,
+    spread: Doubles,
+    color_mips: Sequence[Bytes],
+    height_mips: Sequence[Bytes],
+    hits: Hits,
+) -> None:
+    """Move the hits (R,) of some rays to the leaves (N, one for each of `ray`) that they meet before."""
+    origin = np.einsum("ni,nij->nj", start - leaves.centers, leaves.frames) / leaves.scales[:, None]
+    go = np.einsum("ni,nij->nj", way, leaves.frames) / leaves.scales[:, None]
+    along, place, margin = _meet_plane(leaves, origin, go)
+    behind = (go[:, 2] < 0) & ~leaves.rod
+    size = leaves.halves[:, :2]
+    meets = (np.abs(place) <= size + margin).all(axis=1)
+
+    image = np.where(behind[:, None], leaves.back, leaves.front)
+    height, width = color_mips[0].shape[:2]
+    texels = image[:, 2:] * (width, height) / (2 * size)
+    sample = (spread[:, 1] + (spread[:, 0] - spread[:, 1]) * along) / leaves.scales
+    with np.errstate(divide="ignore", invalid="ignore"):
+        lod = np.nan_to_num(np.clip(np.log2(sample * texels.max(axis=1)), 0, MOST_LOD))
+    inner = np.minimum(0.5 * np.exp2(np.ceil(lod))[:, None] / (width, height), image[:, 2:] / 2)
+    flip = np.where(leaves.mirrored[:, None], (-1, 1), (1, 1))
+
+    def texture_place(place: Doubles) -> Doubles:
+        unit = np.clip(flip * place / size * 0.5 + 0.5, 0, 1)
+        return np.asarray(image[:, :2] + np.clip(unit * image[:, 2:], inner, image[:, 2:] - inner))
+
+    for _ in range(RELIEF_STEPS):
+        bump = sample_texture(height_mips, texture_place(place), np.zeros(len(place)))[:, 2]
+        rise = (bump * 2 - 1) * leaves.halves[:, 2]
+        on_relief = np.where(leaves.rod, along, (-rise - origin[:, 2]) / np.where(go[:, 2] == 0, 1, go[:, 2]))
+        along = on_relief
+        place = np.where(leaves.rod[:, None], place, origin[:, :2] + along[:, None] * go[:, :2])
+    uv = texture_place(place)
+    alpha = sample_texture(color_mips, uv, lod)[:, 3]
+    level = np.minimum(lod.astype(int), 3)
+    rows = np.arange(len(lod))
+    low, high = leaves.thresholds[rows, level], leaves.thresholds[rows, level + 1]
+    opaque = leaves.rod | (alpha >= low + (high - low) * (lod - level))
+    meets &= (image[:, 2] > 0) & (along > 0) & (along < hits.along[ray]) & (np.abs(place) <= size).all(axis=1) & opaque
+    hits.along[ray[meets]] = along[meets]
+    hits.placement[ray[meets]] = placement[meets]
+    hits.uv[ray[meets]] = uv[meets]
+    hits.lod[ray[meets]] = lod[meets]
+    hits.away[ray[meets]] = (start[:, 2] + along * way[:, 2])[meets]
+    hits.behind[ray[meets]] = behind[meets]
+
+
+def _meet_plane(leaves: Leaves, origin: Doubles, go: Doubles) -> tuple[Doubles, Doubles, Doubles]:
+    """Where rays in the leaves' frames meet their planes: parameter (N,), place (N, 2), and the relief's margin (N, 2)."""
+    length = np.linalg.norm(go, axis=1)
+    rise = np.where(np.abs(go[:, 2]) > 1e-6 * length, go[:, 2], 1e-6 * length)
+    along = -origin[:, 2] / rise
+    place = origin[:, :2] + along[:, None] * go[:, :2]
+    margin = leaves.halves[:, 2:] * np.minimum(np.abs(go[:, :2] / rise[:, None]), _STEEPEST)
+    # A rod turns about its axis until it faces the ray.
+    flat = go[:, [0, 2]]
+    facing = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12)
+    to_rod = -(origin[:, [0, 2]] * facing).sum(axis=1) / np.maximum((flat * facing).sum(axis=1), 1e-12)
+    point = origin + to_rod[:, None] * go
+    across = point[:, 0] * facing[:, 1] - point[:, 2] * facing[:, 0]
+    rod = leaves.rod
+    return (
+        np.where(rod, to_rod, along),
+        np.where(rod[:, None], np.stack([across, point[:, 1]], axis=1), place),
+        np.where(rod[:, None], 0, margin),
+    )
+
+
+def sample_texture(mips: Sequence[Bytes], uv: Doubles, lod: Doubles) -> Doubles:
+    """Texture values (N, 4) in 0..1 at uv (N, 2), trilinear, clamped to the edge; sRGB is not decoded."""
+    low = np.minimum(np.floor(lod).astype(int), len(mips) - 1)
+    high = np.minimum(low + 1, len(mips) - 1)
+    result = np.zeros((len(uv), 4))
+    for level in np.unique(np.concatenate([low, high])):
+        for at, weight in ((low, 1 - (lod - low)), (high, lod - low)):
+            rows = np.flatnonzero(at == level)
+            result[rows] += weight[rows, None] * _bilinear(mips[level], uv[rows])
+    return result
+
+
+def _bilinear(pixels: Bytes, uv: Doubles) -> Doubles:
+    height, width = pixels.shape[:2]
+    place = uv * (width, height) - 0.5
+    corner = np.floor(place).astype(int)
+    blend = place - corner
+    x, y = (np.clip(np.stack([corner[:, i], corner[:, i] + 1]), 0, side - 1) for i, side in enumerate((width, height)))
+    top, bottom = ((pixels[row, x].astype(np.float64) / 255) for row in y)
+    rows = [(1 - blend[:, :1]) * each[0] + blend[:, :1] * each[1] for each in (top, bottom)]
+    return np.asarray((1 - blend[:, 1:]) * rows[0] + blend[:, 1:] * rows[1])
