@@ -16,7 +16,7 @@ help: ## this list
 demo: $(INSTALLED) ## grow a chestnut, bake it, verify it, and name the report
 	$(TREEBAKE) grow chestnut -o build/chestnut.glb
 	$(TREEBAKE) bake build/chestnut.glb -o build --config configs/chestnut.toml
-	$(TREEBAKE) verify build/chestnut --source build/chestnut.glb --config configs/chestnut.toml
+	$(TREEBAKE) verify build/chestnut --source build/chestnut.glb --config configs/chestnut.toml --set verify.azimuths=4
 
 test: $(INSTALLED) ## run the tests (PYTEST="-k cluster" picks some)
 	$(BIN)/python -m pytest $(PYTEST)
@@ -27,7 +27,7 @@ check: $(INSTALLED) ## lint, format, strict types and tests: what CI runs
 	$(BIN)/mypy
 	$(BIN)/python -m pytest
 
-bench: $(INSTALLED) ## measure the rows E1 to E8 into build/bench.json (ONLY=E1,E5 picks some)
+bench: $(INSTALLED) ## measure every row into build/bench.json (ONLY=E1,I5 picks some)
 	$(BIN)/python -m tests.bench $(if $(ONLY),--only $(ONLY))
 
 # ---- batch: make batch TREES="a.glb b.glb" -j2 -------------------------------------------------------------------

@@ -20,11 +20,14 @@ from synthetic import quad
 
 import treebake
 from treebake.asset import Asset, Level, Manifest, indirect_bytes, read_asset, read_indirect, write_asset
-from treebake.asset.indirect import IMAGES, TABLES, write_indirect
+from treebake.asset.indirect import IMAGES, TABLES, Extras, extras_schema, write_indirect
 from treebake.errors import AssetError, WorkspaceError
+from treebake.formats.gltf_file import GltfFile
 from treebake.images import read_image
+from treebake.lookup import LIST_BITS
 from treebake.meshes import read_mesh
 from treebake.model import AlphaMode, BakedTree, BillboardCloud, IndirectTextures, Material, Mesh, Texture
+from treebake.placements import unpack
 from treebake.stages.indirect import IndirectSettings, indirect
 
 FORMAT_MD = Path(treebake.__file__).parent / "asset/FORMAT.md"
@@ -351,6 +354,10 @@ def test_the_hash_texture_keeps_its_shape(tmp_path: Path) -> None:
     wide = np.zeros((2, 8), np.uint32)
     wide[:2, :2] = layers().hash_texture
     assert (read_indirect(indirect_glb(tmp_path, hash_texture=wide)).hash_texture == wide).all()
+    # Columns come first in a billboard's place, and rows in the texture's shape.
+    read_indirect(indirect_glb(tmp_path, hash_texture=wide, **changed("billboards", (1, 16), 6)))
+    with pytest.raises(AssetError, match="a billboard leaves the hash texture"):
+        read_indirect(indirect_glb(tmp_path, hash_texture=wide, **changed("billboards", (1, 17), 6)))
 
 
 def test_indirect_bytes_are_the_tables_and_the_compressed_images() -> None:
@@ -457,7 +464,7 @@ def test_a_file_that_is_none_or_cut_off_is_one_line(tmp_path: Path) -> None:
     path = indirect_glb(tmp_path)
     path.write_bytes(path.read_bytes()[:-100])
     for damaged in (path, tmp_path / "nowhere.glb", tmp_path):
-        with pytest.raises(AssetError, match=rf"^{damaged} holds no usable indirect textures \([^\n]+\); bake the tree"):
+        with pytest.raises(AssetError, match=rf"^{damaged} holds no usable indirect textures \([^\n]+\); bake"):
             read_indirect(damaged)
 
 
@@ -472,33 +479,43 @@ def test_a_level_for_each_height(height: int, level: int) -> None:
     assert asset.level_for(height) == Path(f"oak/oak_LOD{level}.glb")
 
 
+def section(heading: str) -> str:
+    """What FORMAT.md says below one of its headings."""
+    return re.split(r"^#+ ", FORMAT_MD.read_text(encoding="utf-8").split(f"# {heading}\n")[1], flags=re.MULTILINE)[0]
+
+
+def example(heading: str) -> str:
+    """The one JSON example of a section."""
+    (found,) = re.findall(r"```json\n(.*?)```", section(heading), re.DOTALL)
+    return str(found)
+
+
 def example_manifest() -> Manifest:
     """The worked example of FORMAT.md."""
-    (example,) = re.findall(r"```json\n(.*?)```", FORMAT_MD.read_text(encoding="utf-8"), re.DOTALL)
-    return msgspec.json.decode(example, type=Manifest, strict=True)
+    return msgspec.json.decode(example("manifest.json"), type=Manifest, strict=True)
 
 
 # ---- FORMAT.md -----------------------------------------------------------------------------------------------------
 
 
 def test_the_example_is_a_manifest(tmp_path: Path) -> None:
-    example = example_manifest()
-    assert example.indirect is not None
-    files = [level.file for level in example.levels] + [image.file for image in example.textures]
-    for file in [*files, example.indirect.file]:
+    told = example_manifest()
+    assert told.indirect is not None
+    files = [level.file for level in told.levels] + [image.file for image in told.textures]
+    for file in [*files, told.indirect.file]:
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).touch()
-    (tmp_path / "manifest.json").write_bytes(msgspec.json.encode(example))
-    assert read_asset(tmp_path).manifest == example
+    (tmp_path / "manifest.json").write_bytes(msgspec.json.encode(told))
+    assert read_asset(tmp_path).manifest == told
 
 
 def test_the_example_has_the_files_that_are_written(oak: Path) -> None:
-    example, written = example_manifest(), read_asset(oak).manifest
-    assert [level.file for level in example.levels] == [level.file for level in written.levels]
-    assert example.indirect is not None
+    told, written = example_manifest(), read_asset(oak).manifest
+    assert [level.file for level in told.levels] == [level.file for level in written.levels]
+    assert told.indirect is not None
     assert written.indirect is not None
-    assert example.indirect.file == written.indirect.file
-    assert [(image.file, image.color_space) for image in example.textures] == [
+    assert told.indirect.file == written.indirect.file
+    assert [(image.file, image.color_space) for image in told.textures] == [
         (image.file, image.color_space) for image in written.textures
     ]
 
@@ -513,8 +530,40 @@ def keys(value: object, prefix: str = "") -> set[str]:
 
 
 def test_every_key_is_described_and_no_other(oak: Path) -> None:
-    rows = re.findall(
-        r"^\| `([^`]+)` \|", FORMAT_MD.read_text(encoding="utf-8").split("## manifest.json")[1], re.MULTILINE
-    )
+    rows = re.findall(r"^\| `([^`]+)` \|", section("manifest.json"), re.MULTILINE)
     assert set(rows) == keys(json.loads((oak / "manifest.json").read_text()))
     assert len(rows) == len(set(rows))
+
+
+def test_the_example_of_the_extras_is_one_and_names_every_key() -> None:
+    told = json.loads(example("Where the data is"))
+    assert msgspec.to_builtins(msgspec.convert(told, Extras, strict=True)) == told
+
+
+def test_the_schema_of_the_extras_is_that_of_their_type() -> None:
+    assert (FORMAT_MD.parent / "extras.schema.json").read_text(encoding="utf-8") == extras_schema(), (
+        "renew it from treebake.asset.indirect.extras_schema"
+    )
+
+
+def test_tables_are_stored_as_described(oak: Path, tmp_path: Path) -> None:
+    rows = re.findall(r"^\| `(\w+)` \| (\w+) (\w+) \|.*?\| `(\S+)` \|", section("Where the data is"), re.MULTILINE)
+    assert [name for name, *_ in rows] == list(TABLES)
+    document = GltfFile(indirect_glb(tmp_path)).json
+    kinds = {"float": 5126, "uint32": 5125, "uint16": 5123, "uint8": 5121}
+    for name, shape, kind, loose in rows:
+        accessor = document["accessors"][document["extras"]["treebake"]["indirect"][name]]
+        assert (accessor["type"], accessor["componentType"]) == (shape, kinds[kind])
+        assert (oak / f"textures/oak{loose}").is_file()
+
+
+def test_the_example_of_a_placement_is_what_its_words_say() -> None:
+    told = json.loads(example("placements"))
+    found = unpack(np.array([[int(word, 16) for word in told["words"]]], np.uint32))
+    assert found.positions[0] == pytest.approx(told["position"], abs=1e-5)
+    assert found.scales[0] * told["largest"] == told["scale"]
+    assert found.narrowings[0] == told["narrowing"]
+    assert np.allclose(found.rotations[0], told["rotation"], atol=1e-3)
+    assert (found.mirrored[0], found.shape[0]) == (told["mirrored"], told["shape"])
+    assert divmod(told["entry"], 1024) == (told["row"], told["column"])
+    assert divmod(int(told["hash_texel"], 16), 1 << LIST_BITS) == (told["offset"], told["count"])

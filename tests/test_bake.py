@@ -324,3 +324,26 @@ def test_no_opengl_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None
 def test_programs_are_compiled_once() -> None:
     assert context() is context()
     assert context_module.program("bake") is context_module.program("bake")
+
+
+# ---- normal maps ---------------------------------------------------------------------------------------------------
+
+BUMPS = Texture("bumps", np.full((2, 2, 4), (204, 128, 230, 255), np.uint8))  # leans towards u: (0.6, 0, 0.8)
+MIRRORED = ((1, 1), (0, 1), (0, 0), (1, 0))
+TURNED = ((0, 0), (0, 1), (1, 1), (1, 0))  # u runs up the picture's right side, v to the right
+
+
+@pytest.mark.parametrize(
+    ("uvs", "backwards", "expected"),
+    [
+        (((0, 1), (1, 1), (1, 0), (0, 0)), False, (0.6, 0, 0.8)),
+        (MIRRORED, False, (-0.6, 0, 0.8)),
+        (TURNED, False, (0, 0.6, 0.8)),
+        (((0, 1), (1, 1), (1, 0), (0, 0)), True, (-0.6, 0, 0.8)),  # a bump on the front is a dent in the back
+    ],
+)
+def test_a_normal_map_bends_the_normal(uvs: object, backwards: bool, expected: tuple[float, float, float]) -> None:
+    material = Material("leaf", normal_map=BUMPS, double_sided=True)
+    normal = (0.0, 0.0, -1.0) if backwards else SEEN_FROM_FRONT
+    found = bake_atlas(box((0, 8), (0, 8), uvs=uvs, backwards=backwards, normal=normal), [material], SIZE, 1)[1]
+    assert np.allclose(found[1:7, 1:7], expected, atol=0.01)

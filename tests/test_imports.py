@@ -11,7 +11,18 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 # Which rooms each layer may import from, besides itself; a room is the first name below `treebake`.
 LAYERS = {
-    "ground": {"model", "errors", "geometry", "flatten", "packing", "placements", "lookup", "resources", "files", "tubes"},
+    "ground": {
+        "model",
+        "errors",
+        "geometry",
+        "flatten",
+        "packing",
+        "placements",
+        "lookup",
+        "resources",
+        "files",
+        "tubes",
+    },
     "services": {"images", "compression", "meshes", "formats", "glb", "gl"},
     "stages": {"stages"},
     "asset": {"asset"},

@@ -13,7 +13,7 @@ from treebake.gl.context import context
 from treebake.gl.indirect import IndirectBillboards
 from treebake.gl.view import View, column_major
 from treebake.grow import grow
-from treebake.lookup import Hits, look_up, sample_texture
+from treebake.lookup import Images, Rays, look_up, sample_texture
 from treebake.model import Doubles, IndirectTextures, Tree
 from treebake.stages.cluster import ClusterSettings, cluster
 from treebake.stages.indirect import IndirectSettings, indirect
@@ -81,13 +81,11 @@ def from_twin(textures: IndirectTextures, view: View, share: float, dither: floa
 
     near, far = unprojected(x, -1), unprojected(x, 1)
     aside = [np.linalg.norm(unprojected(x + 1 / SIZE, z) - at, axis=1) for z, at in ((1, far), (-1, near))]
-    color, height = (
-        compressed_mips(image, srgb=srgb)
-        for image, srgb in ((textures.leaf_color, True), (textures.leaf_normal, False))
-    )
+    images = Images(compressed_mips(textures.leaf_color, srgb=True), compressed_mips(textures.leaf_normal, srgb=False))
+    rays = Rays(near, far - near, np.stack(aside, axis=1))
     best = np.full((SIZE * SIZE, 4), (-1, 0, 0, NEVER))
     for number in range(len(textures.billboards)):
-        hits: Hits = look_up(textures, color, height, number, near, far - near, np.stack(aside, axis=1), share, dither)
+        hits = look_up(textures, images, number, rays, share, dither)
         nearer = (hits.placement >= 0) & (hits.along < best[:, 3])
         best[nearer] = np.column_stack([hits.placement, hits.uv, hits.along])[nearer]
     return best

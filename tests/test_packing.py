@@ -132,6 +132,7 @@ def test_cells_are_packed_apart_and_inside(sizes: list[tuple[int, int]], limit: 
         (cells((3, 5), (1, 5)), (4, 5)),
         (cells((4, 4), (4, 4), (4, 4)), (4, 12)),  # all of it used; a square would have a hole
         (cells((16, 1), (1, 1)), (16, 2)),
+        (cells(*[(3, 1)] * 5), (16, 1)),  # 4 x 5 and 8 x 3 would do, and leave more empty
     ],
 )
 def test_cells_get_the_smallest_atlas(sizes: Ints, size: tuple[int, int]) -> None:

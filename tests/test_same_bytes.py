@@ -19,7 +19,8 @@ def noise(name: str, size: tuple[int, int] = (8, 8)) -> Texture:
 
 
 def masked(size: tuple[int, int] = (8, 8)) -> Material:
-    return Material("leaf", color_map=noise("color", size), normal_map=noise("normals", size), alpha_mode=AlphaMode.MASK)
+    color, normal = noise("color", size), noise("normals", size)
+    return Material("leaf", color_map=color, normal_map=normal, alpha_mode=AlphaMode.MASK)
 
 
 def sizes(mesh: Mesh) -> list[tuple[int, int]]:

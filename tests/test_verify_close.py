@@ -16,6 +16,7 @@ from treebake.images import read_image
 from treebake.model import AlphaMode, Doubles, Material, Mesh
 from treebake.verify import CloseUp, VerifySettings, as_dict, close_ups, format_table, verify, write_report
 from treebake.verify.cameras import CLOSE_LEAF, CLOSE_UP, cameras
+from treebake.verify.metrics import score
 
 FEW = VerifySettings(heights=(32,), elevations=(0.0,), azimuths=1)
 LEVELS, AROUND = (0.0, 25.0, 60.0, 90.0), 8
@@ -184,6 +185,19 @@ def test_a_leaf_that_fills_the_window_has_a_floor() -> None:
     assert level is not None
     assert level.floor_one.coverage == 1
     assert 0 < level.floor_half.flip < level.floor_one.flip
+
+
+def test_the_floor_is_the_source_drawn_a_pixel_further() -> None:
+    """What fills the right half reaches the border of the picture, and leaves it when it is moved."""
+    half = quad(GREEN, x=(0, 9), y=(-9, 9))
+    look = CloseUp(0.0, 0.0, np.zeros(3), 0.7, 10.0)
+    level = verify(half, half, FEW, close=(look,)).close_up
+    assert level is not None
+    with closing(Drawing(half, exact_cutouts=True)) as drawing:
+        moved = score(drawing.picture(look.view()), drawing.picture(look.view(shift=1.0)))
+    assert moved.flip[0] > 0
+    assert (level.floor_one.flip, level.floor_one.iou) == (moved.flip[0], moved.iou[0])
+    assert level.floor_one.coverage == pytest.approx(1 - 1 / (CLOSE_UP / 2), rel=1e-4)
 
 
 def test_no_look_close_up_is_none() -> None:

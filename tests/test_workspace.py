@@ -1,5 +1,6 @@
 """The work folder: what comes back, what is skipped, what is refused."""
 
+import ast
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -98,6 +99,39 @@ def test_another_version_of_the_code_runs_again(tmp_path: Path, stage: Stage, mo
     Workspace(tmp_path).run(stage, Times(), Result.of(mesh()))
     monkeypatch.setattr(workspace, "_code", lambda module: f"{module}, edited")
     Workspace(tmp_path).run(stage, Times(), Result.of(mesh()))
+    assert stage.calls == 2
+
+
+def rooms_imported(*rooms: str) -> set[str]:
+    """The rooms (first names below `treebake`) that the files of these import."""
+    package = Path(workspace.__file__).parent
+    files = [file for room in rooms for file in (package / f"{room}.py", *(package / room).rglob("*.py"))]
+    nodes = [node for file in files if file.exists() for node in ast.walk(ast.parse(file.read_text()))]
+    modules = [str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)]
+    return {module.split(".")[1] for module in modules if module.startswith("treebake.")}
+
+
+def test_all_that_a_stage_builds_on_is_part_of_its_version() -> None:
+    known = {name.removesuffix(".py") for name in workspace._GROUND}
+    without_effect = {"stages", "errors", "files", "resources"}  # on a result
+    assert rooms_imported("stages", *known) - without_effect <= known
+
+
+def test_a_stage_run_twice_is_kept_under_two_names(tmp_path: Path, stage: Stage) -> None:
+    work, value = Workspace(tmp_path), Result.of(mesh())
+    for _ in range(2):
+        work.run(stage, Times(2), value)
+        work.run(stage, Times(3), value, name="other")
+    assert stage.calls == 2
+    kept = [work.read(name, "make", value).value.positions.max() for name in ("scale", "other")]
+    assert kept == [2, 3]
+
+
+def test_the_name_is_part_of_the_stamp(tmp_path: Path, stage: Stage) -> None:
+    work, value = Workspace(tmp_path), Result.of(mesh())
+    work.run(stage, Times(), value)
+    (tmp_path / "stages/scale.npz").rename(tmp_path / "stages/other.npz")
+    work.run(stage, Times(), value, name="other")
     assert stage.calls == 2
 
 

@@ -14,7 +14,7 @@ _FIVE_SIX_FIVE = np.array([31, 63, 31], np.float32)
 
 
 def compressed_mips(texture: Texture, *, srgb: bool) -> list[Bytes]:
-    """A texture's mips as they come out of compression: with srgb a colour map's (BC3), else channel by channel (BC4)."""
+    """A texture's mips as compression leaves them: with srgb as a colour map (BC3), else each channel alone (BC4)."""
     through = through_bc3 if srgb else through_bc4
     return [through(mip) for mip in mip_chain(texture.pixels, srgb=srgb)]
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from treebake.model import Bytes, Doubles, Floats, IndirectTextures, Ints
+from treebake.model import Bytes, Doubles, Floats, IndirectTextures, Ints, Longs
 from treebake.placements import unpack
 
 Mask = NDArray[np.bool_]
@@ -20,6 +20,32 @@ RELIEF_STEPS = 3
 MOST_LOD = 4.0
 _NEVER = 1e30
 _STEEPEST = 4.0  # how far sidewards of a leaf's plane its relief is looked for, in heights of the relief
+
+
+@dataclass(frozen=True, eq=False)
+class Images:
+    """The leaves textures with their mips, mip 0 first: color with alpha, and normal, whose third channel is height."""
+
+    color: Sequence[Bytes]
+    normal: Sequence[Bytes]
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """R view rays, start + t * way. start, way: (R, 3). spread: (R, 2), distance of samples at t = 1 and at 0."""
+
+    start: Doubles
+    way: Doubles
+    spread: Doubles
+
+    def of(self, rows: Longs) -> "Rays":
+        """Some of them."""
+        return Rays(self.start[rows], self.way[rows], self.spread[rows])
+
+    def turned(self, matrix: Doubles) -> "Rays":
+        """In another frame: matrix (3, 4), a similarity."""
+        linear = matrix[:, :3].T
+        return Rays(self.start @ linear + matrix[:, 3], self.way @ linear, self.spread * np.linalg.norm(linear[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,10 +86,6 @@ class Leaves:
     back: Doubles
     thresholds: Doubles
 
-    def of(self, rows: Ints) -> "Leaves":
-        """Some of them."""
-        return Leaves(*(values[rows] for values in vars(self).values()))
-
 
 @dataclass(frozen=True, eq=False)
 class Hits:
@@ -97,27 +119,16 @@ def decode_leaves(textures: IndirectTextures, placement: Ints, size: Doubles) ->
 
 
 def look_up(
-    textures: IndirectTextures,
-    color_mips: Sequence[Bytes],
-    height_mips: Sequence[Bytes],
-    number: int,
-    starts: Doubles,
-    ways: Doubles,
-    spreads: Doubles,
-    share: float = 1.0,
-    dither: float = 0.0,
+    textures: IndirectTextures, images: Images, number: int, rays: Rays, share: float = 1.0, dither: float = 0.0
 ) -> Hits:
     """The nearest leaf of billboard `number` that each ray meets.
 
-    color_mips, height_mips: the leaves textures with their mips. starts, ways: (R, 3), the rays in the tree's frame and
-    unit. spreads: (R, 2), distance of neighbouring samples at the rays' parameters 1 and 0, in the tree's unit. share:
-    of each list that is looked up, from the viewer's end; dither: 0..1, from where on a part of an entry counts.
+    rays: in the tree's frame and unit. share: of each list that is looked up, from the viewer's end; dither: 0..1, from
+    where on a part of an entry counts.
     """
     board = Billboard.of(textures.billboards[number])
-    cells_per_unit = float(np.linalg.norm(board.to_cells[0, :3]))
-    start = starts @ board.to_cells[:, :3].T + board.to_cells[:, 3]
-    way = ways @ board.to_cells[:, :3].T
-    spread = spreads * cells_per_unit
+    rays = rays.turned(board.to_cells)
+    start, way = rays.start, rays.way
     front = way[:, 2] > 0
     lists = textures.lists_texture.reshape(-1)
     hits = _nothing(len(start))
@@ -141,8 +152,7 @@ def look_up(
             ray = np.flatnonzero(entry < wanted)
             place = offset[ray] + np.where(front[ray], entry, count[ray] - 1 - entry)
             placement = board.first + lists[place].astype(np.int32)
-            leaves = decode_leaves(textures, placement, board.size)
-            _meet(leaves, placement, ray, start[ray], way[ray], spread[ray], color_mips, height_mips, hits)
+            _meet(decode_leaves(textures, placement, board.size), images, rays.of(ray), placement, ray, hits)
         turn, axis = following.min(axis=1), (following[:, 0] >= following[:, 1]).astype(int)
         rows = np.arange(len(cell))
         inside &= (turn <= leave) & (hits.along > turn)
@@ -163,31 +173,22 @@ def _nothing(count: int) -> Hits:
     )
 
 
-def _meet(
-    leaves: Leaves,
-    placement: Ints,
-    ray: Ints,
-    start: Doubles,
-    way: Doubles,
-    spread: Doubles,
-    color_mips: Sequence[Bytes],
-    height_mips: Sequence[Bytes],
-    hits: Hits,
-) -> None:
-    """Move the hits (R,) of some rays to the leaves (N, one for each of `ray`) that they meet before."""
-    origin = np.einsum("ni,nij->nj", start - leaves.centers, leaves.frames) / leaves.scales[:, None]
-    go = np.einsum("ni,nij->nj", way, leaves.frames) / leaves.scales[:, None]
+def _meet(leaves: Leaves, images: Images, rays: Rays, placement: Ints, ray: Longs, hits: Hits) -> None:
+    """Move hits to leaves that lie before them: one leaf and placement for each of the rays, numbers `ray` (N,)."""
+    origin = np.einsum("ni,nij->nj", rays.start - leaves.centers, leaves.frames) / leaves.scales[:, None]
+    go = np.einsum("ni,nij->nj", rays.way, leaves.frames) / leaves.scales[:, None]
     along, place, margin = _meet_plane(leaves, origin, go)
     behind = (go[:, 2] < 0) & ~leaves.rod
     size = leaves.halves[:, :2]
     meets = (np.abs(place) <= size + margin).all(axis=1)
 
     image = np.where(behind[:, None], leaves.back, leaves.front)
-    height, width = color_mips[0].shape[:2]
-    texels = image[:, 2:] * (width, height) / (2 * size)
-    sample = (spread[:, 1] + (spread[:, 0] - spread[:, 1]) * along) / leaves.scales
+    height, width = images.color[0].shape[:2]
+    texels = image[:, 2:] * (width, height)
+    sample = (rays.spread[:, 1] + (rays.spread[:, 0] - rays.spread[:, 1]) * along) / leaves.scales
     with np.errstate(divide="ignore", invalid="ignore"):
-        lod = np.nan_to_num(np.clip(np.log2(sample * texels.max(axis=1)), 0, MOST_LOD))
+        most = np.clip(np.log2(texels.min(axis=1)) - 2, 0, MOST_LOD)  # the image is four texels wide there
+        lod = np.nan_to_num(np.clip(np.log2(sample * (texels / size).max(axis=1) / 2), 0, most))
     inner = np.minimum(0.5 * np.exp2(np.ceil(lod))[:, None] / (width, height), image[:, 2:] / 2)
     flip = np.where(leaves.mirrored[:, None], (-1, 1), (1, 1))
 
@@ -196,28 +197,24 @@ def _meet(
         return np.asarray(image[:, :2] + np.clip(unit * image[:, 2:], inner, image[:, 2:] - inner))
 
     for _ in range(RELIEF_STEPS):
-        bump = sample_texture(height_mips, texture_place(place), np.zeros(len(place)))[:, 2]
+        bump = sample_texture(images.normal, texture_place(place), np.zeros(len(place)))[:, 2]
         rise = (bump * 2 - 1) * leaves.halves[:, 2]
-        on_relief = np.where(leaves.rod, along, (-rise - origin[:, 2]) / np.where(go[:, 2] == 0, 1, go[:, 2]))
-        along = on_relief
+        along = np.where(leaves.rod, along, (-rise - origin[:, 2]) / np.where(go[:, 2] == 0, 1, go[:, 2]))
         place = np.where(leaves.rod[:, None], place, origin[:, :2] + along[:, None] * go[:, :2])
     uv = texture_place(place)
-    alpha = sample_texture(color_mips, uv, lod)[:, 3]
     level = np.minimum(lod.astype(int), 3)
     rows = np.arange(len(lod))
     low, high = leaves.thresholds[rows, level], leaves.thresholds[rows, level + 1]
-    opaque = leaves.rod | (alpha >= low + (high - low) * (lod - level))
+    opaque = leaves.rod | (sample_texture(images.color, uv, lod)[:, 3] >= low + (high - low) * (lod - level))
     meets &= (image[:, 2] > 0) & (along > 0) & (along < hits.along[ray]) & (np.abs(place) <= size).all(axis=1) & opaque
-    hits.along[ray[meets]] = along[meets]
-    hits.placement[ray[meets]] = placement[meets]
-    hits.uv[ray[meets]] = uv[meets]
-    hits.lod[ray[meets]] = lod[meets]
-    hits.away[ray[meets]] = (start[:, 2] + along * way[:, 2])[meets]
-    hits.behind[ray[meets]] = behind[meets]
+    away = rays.start[:, 2] + along * rays.way[:, 2]
+    found = Hits(along, placement, uv, lod, away, behind)
+    for name, values in vars(found).items():
+        getattr(hits, name)[ray[meets]] = values[meets]
 
 
 def _meet_plane(leaves: Leaves, origin: Doubles, go: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-    """Where rays in the leaves' frames meet their planes: parameter (N,), place (N, 2), and the relief's margin (N, 2)."""
+    """Where rays in leaves' frames meet their planes: parameter (N,), place (N, 2), margin for the relief (N, 2)."""
     length = np.linalg.norm(go, axis=1)
     rise = np.where(np.abs(go[:, 2]) > 1e-6 * length, go[:, 2], 1e-6 * length)
     along = -origin[:, 2] / rise

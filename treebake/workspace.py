@@ -26,7 +26,8 @@ from treebake.files import atomic
 
 T = TypeVar("T")
 _PACKAGE = Path(__file__).parent
-_GROUND = "model geometry flatten packing placements lookup images compression gl tubes".split()  # in every version
+# What every stage builds on, part of every version.
+_GROUND = ("model", "geometry", "flatten", "packing", "placements", "lookup", "images", "compression", "gl", "tubes")
 _DAMAGED = (OSError, KeyError, ValueError, TypeError, AttributeError, zipfile.BadZipFile)
 
 

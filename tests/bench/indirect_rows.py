@@ -18,12 +18,13 @@ TABLE_1 = {  # [GPSS07] Table 1: billboards, bytes
     "maple": (175, 1_381_600),
     "alder": (228, 1_332_837),
 }
+FLAT_LEAVES = ("indirect.flat=true", "indirect_cluster.compactness=0")  # the planes that suit them
 MODES = {  # what the papers do, as settings
     "as it is": (),
     "16 orientations": ("indirect.orientations=16",),
-    "flat": ("indirect.flat=true",),
-    "flat, 16 orientations": ("indirect.flat=true", "indirect.orientations=16"),
-    "one leaf a cell": ("indirect.flat=true", "indirect.single=true", "indirect.cell=0.5"),
+    "flat": FLAT_LEAVES,
+    "flat, 16 orientations": (*FLAT_LEAVES, "indirect.orientations=16"),
+    "flat, one leaf a cell": (*FLAT_LEAVES, "indirect.single=true", "indirect.cell=0.5"),
 }
 
 

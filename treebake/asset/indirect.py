@@ -135,7 +135,3 @@ def _damage(textures: IndirectTextures) -> str:
         (textures.ambient.shape[:2] == textures.placements.shape[:2], "there is not one ambient entry per placement"),
     )
     return next((what for sound, what in checks if not sound), "")
-
-
-if __name__ == "__main__":
-    print(extras_schema(), end="")

@@ -7,7 +7,7 @@ import moderngl
 import numpy as np
 
 from treebake.gl.context import context, program
-from treebake.model import AlphaMode, Floats, Ints, Material
+from treebake.model import AlphaMode, Floats, Ints, Material, Texture
 
 _TILE = 512  # texels; with supersampling by 4 a tile needs 2048 x 2048 samples
 _SRGB8_ALPHA8 = 0x8C43
@@ -72,13 +72,16 @@ class _Batch:
     """The triangles of one material, on the GPU."""
 
     array: moderngl.VertexArray
-    texture: moderngl.Texture
+    color_map: moderngl.Texture
+    normal_map: moderngl.Texture
     material: Material
 
     def draw(self, window: tuple[int, int, int, int]) -> None:
         shader = self.array.program
-        self.texture.use(0)
-        shader["color_map"] = 0
+        self.color_map.use(0)
+        self.normal_map.use(1)
+        shader["color_map"], shader["normal_map"] = 0, 1
+        shader["has_normal_map"] = self.material.normal_map is not None
         shader["window"] = window
         shader["base_color"] = self.material.base_color
         shader["blend"] = self.material.alpha_mode is AlphaMode.BLEND
@@ -92,12 +95,15 @@ def _upload(gl: moderngl.Context, triangles: FlatTriangles, index: int, material
     buffer = gl.buffer(np.ascontiguousarray(vertices, np.float32))
     layout = [(buffer, "3f 2f 3f", "in_position", "in_uv", "in_normal")]
     array = gl.vertex_array(program("bake"), layout)
-    pixels = np.full((1, 1, 4), 255, np.uint8) if material.color_map is None else material.color_map.pixels
-    size = (pixels.shape[1], pixels.shape[0])
-    data = np.ascontiguousarray(pixels)
-    texture = gl.texture(size, 4, data, internal_format=_SRGB8_ALPHA8)
-    texture.filter = (moderngl.LINEAR, moderngl.LINEAR)
-    return _Batch(array, texture, material)
+    color_map = _texture(gl, material.color_map, internal_format=_SRGB8_ALPHA8)
+    return _Batch(array, color_map, _texture(gl, material.normal_map), material)
+
+
+def _texture(gl: moderngl.Context, texture: Texture | None, **options: int) -> moderngl.Texture:
+    pixels = np.full((1, 1, 4), 255, np.uint8) if texture is None else texture.pixels
+    made = gl.texture((pixels.shape[1], pixels.shape[0]), 4, np.ascontiguousarray(pixels), **options)
+    made.filter = (moderngl.LINEAR, moderngl.LINEAR)
+    return made
 
 
 def _target(

@@ -34,6 +34,7 @@ _CODE = (
     "gl/shaders/lighting.glsl",
     "gl/shaders/lit.glsl",
     "gl/shaders/lit_exact.glsl",
+    "gl/shaders/normal_map.glsl",
     "verify/cameras.py",
     "verify/metrics.py",
     "verify/reference.py",

@@ -22,11 +22,15 @@ in vec2 uv;
 in vec3 normal;
 in float depth;
 uniform sampler2D color_map;
+uniform sampler2D normal_map;
+uniform bool has_normal_map;
 uniform vec4 base_color;
 uniform float alpha_cutoff;  // 0 where the material is opaque
 uniform bool blend;  // alpha is a share: it decides how many of a texel's samples are covered
 layout(location = 0) out vec4 out_color;
 layout(location = 1) out vec4 out_normal;  // with the depth in place of alpha
+
+#include "normal_map.glsl"
 
 // The 4x4 ordered dither: as many of 16 neighbouring samples lie below a share as the share says.
 const float BAYER[16] = float[](0., 8., 2., 10., 12., 4., 14., 6., 3., 11., 1., 9., 15., 7., 13., 5.);
@@ -41,9 +45,14 @@ void main() {
     vec4 color = textureLod(color_map, uv, 0.0) * base_color;
     if (color.a < (blend ? dither() : alpha_cutoff)) discard;
     // Rows run downwards in the atlas and upwards in GL's window, which turns every winding round.
-    vec3 facing = gl_FrontFacing ? -normal : normal;
+    float side = gl_FrontFacing ? -1.0 : 1.0;
+    float length_ = length(normal);  // 0 where the corners' normals cancel each other
+    vec3 facing = length_ > 0.0 ? side * normal / length_ : vec3(0.0, 0.0, 1.0);
+    if (has_normal_map) {
+        vec3 bump = textureLod(normal_map, uv, 0.0).xyz * 2.0 - 1.0;
+        facing = bumped(facing, side, bump, vec3(1.0, 0.0, 0.0), vec3(0.0, -1.0, 0.0), dFdx(uv), dFdy(uv));
+    }
     out_color = vec4(color.rgb, 1.0);
-    float length_ = length(facing);  // 0 where the corners' normals cancel each other
-    out_normal = vec4(length_ > 0.0 ? facing / length_ : vec3(0.0, 0.0, 1.0), depth);
+    out_normal = vec4(facing, depth);
 }
 #endif

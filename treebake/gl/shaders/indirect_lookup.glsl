@@ -133,8 +133,9 @@ bool meets_image(Leaf leaf, Meeting at, vec2 spread, inout Hit hit) {
     vec2 atlas = vec2(textureSize(leaf_color, 0));
     // The derivative of the texture coordinates by the sample's place: a sample grows with the distance.
     float width = mix(spread.y, spread.x, at.along) / leaf.scale;
-    vec2 texels = image.zw * atlas / (2.0 * size);
-    float lod = clamp(log2(width * max(texels.x, texels.y)), 0.0, 4.0);
+    vec2 texels = image.zw * atlas;
+    float most = clamp(log2(min(texels.x, texels.y)) - 2.0, 0.0, 4.0);  // the image is four texels wide there
+    float lod = clamp(log2(width * max(texels.x / size.x, texels.y / size.y) / 2.0), 0.0, most);
     vec4 thresholds = texelFetch(shapes, ivec2(3, leaf.shape), 0);  // at which mips 1 to 4 cover as much as mip 0
     float threshold = lod < 1.0 ? mix(0.5, thresholds.x, lod)
                     : lod < 2.0 ? mix(thresholds.x, thresholds.y, lod - 1.0)

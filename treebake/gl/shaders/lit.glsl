@@ -48,26 +48,7 @@ centroid in float range;  // extrapolated to a pixel's centre it would run off
 layout(location = 0) out vec4 color;  // premultiplied
 layout(location = 1) out vec4 depth;  // premultiplied, along the optical axis; only x is kept
 
-// The tangent-space normal `bump` in the world. All vectors face the viewer's side of the surface; `side` is -1 where
-// that is the back. The tangent frame comes from screen-space derivatives, so mirrored texture coordinates and back
-// faces need no vertex tangents. A glTF normal map's +Y points against v.
-vec3 bumped(vec3 facing, float side, vec3 bump) {
-    vec3 dx = dFdx(position);
-    vec3 dy = dFdy(position);
-    vec2 uv_dx = dFdx(uv);
-    vec2 uv_dy = dFdy(uv);
-    float det = uv_dx.x * uv_dy.y - uv_dx.y * uv_dy.x;
-    vec3 along_u = (dx * uv_dy.y - dy * uv_dx.y) * sign(det);
-    vec3 along_v = (dy * uv_dx.x - dx * uv_dy.x) * sign(det);
-    vec3 tangent = along_u - facing * dot(facing, along_u);
-    float stretch = length(tangent);
-    if (stretch == 0.0) return facing;  // no texture direction here
-    tangent /= stretch;
-    vec3 bitangent = cross(facing, tangent);
-    if (dot(bitangent, along_v) > 0.0) bitangent = -bitangent;
-    // Seen from behind, glTF reverses the whole bumped normal: a bump on the front is a dent in the back.
-    return normalize(side * (tangent * bump.x + bitangent * bump.y) + facing * bump.z);
-}
+#include "normal_map.glsl"
 
 #ifdef EXACT_CUTOUTS
 // Where a pixel's 4 samples lie, from its centre: the standard pattern.
@@ -93,7 +74,10 @@ void main() {
     float side = gl_FrontFacing ? 1.0 : -1.0;
     vec4 albedo = base_color * texture(color_map, uv);
     vec3 facing = side * normalize(normal);
-    if (has_normal_map) facing = bumped(facing, side, texture(normal_map, uv).xyz * 2.0 - 1.0);
+    if (has_normal_map) {
+        vec3 bump = texture(normal_map, uv).xyz * 2.0 - 1.0;
+        facing = bumped(facing, side, bump, dFdx(position), dFdy(position), dFdx(uv), dFdy(uv));
+    }
 #ifdef EXACT_CUTOUTS
     gl_SampleMask[0] = ~0;
     if (alpha_mode == MASK) albedo = cut_out(gl_SampleMask[0]);

@@ -27,7 +27,7 @@ class IndirectSettings:
     )
     single: bool = False  # one leaf a cell at most, [GSSK05]'s leaf distribution; best with a small cell
     orientations: int = 0  # directions within its plane to which a leaf is snapped; 0 keeps it exact
-    leaf_texels: int = 64  # along the greatest side of the image of a leaf without texture, 4 to 1024
+    leaf_texels: int = 64  # along the root of the area of the image of a leaf without texture, 4 to 1024
     atlas: int = 2048  # greatest side of the leaves texture in texels, a power of two, 64 to 16384
     likeness: float = 0.02  # RMS difference, of 1, below which shapes share one image, >= 0
     far_texels: int = 4  # of the low-resolution texture along a cell: a power of two, 1 to 16

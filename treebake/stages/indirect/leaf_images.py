@@ -6,6 +6,7 @@ A shape's back has an image of its own only where it looks different from the fr
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from treebake.errors import BudgetError
 from treebake.gl.bake import FlatTriangles, bake_atlas
@@ -18,6 +19,7 @@ BLOCK = 16  # texels: images start and end on its multiples, so that four mips k
 _SUPERSAMPLE = 4
 _MIPS = 4  # that are read
 _LEAST = 0.02  # threshold: below it compression's errors would show
+_SLENDER = 8  # times leaf_texels that the image of a leaf without texture is long at the most
 _SHRINK = 0.9  # of all images, until they fit
 _THUMB = 16  # texels each way at which images are compared
 
@@ -125,7 +127,8 @@ class _Sides:
         count = len(self.shapes.exemplars)
         density = np.sqrt(np.bincount(self.shape, texels, count) / np.bincount(self.shape, areas, count))
         sides = 2 * self.shapes.halves[:, :2]
-        density = np.where(density > 0, density, leaf_texels / np.sqrt(sides.prod(axis=1)))
+        size = np.maximum(np.sqrt(sides.prod(axis=1)), sides.max(axis=1) / _SLENDER)
+        density = np.where(density > 0, density, leaf_texels / size)
         # Around a twig lies a whole tile of bark, so its texels are not square and their area says nothing.
         density = np.where(self.shapes.is_twig, leaf_texels / sides.max(axis=1), density)
         return np.maximum(np.rint(sides * density[:, None]), 1)
@@ -164,11 +167,17 @@ class _Sides:
 
 def _leaders(looks: Floats, sizes: Doubles, tolerance: float) -> Longs:
     """The image that stands for each: itself, or a larger one that looks the same."""
+    # Images that are alike are alike in the mean of each quarter too, which few numbers tell.
+    half = _THUMB // 2
+    quarters = looks.reshape(len(looks), 2, half, 2, half, -1).mean(axis=(2, 4)).reshape(len(looks), -1)
+    near = cKDTree(quarters)
+    reach = tolerance * np.sqrt(quarters.shape[1]) * (1 + 1e-6) + 1e-9
     leader = np.full(len(looks), -1, np.int64)
     for image in np.argsort(-np.prod(sizes, axis=1), kind="stable"):
         if leader[image] < 0:
-            open_ = np.flatnonzero(leader < 0)
-            alike = np.sqrt(((looks[open_] - looks[image]) ** 2).mean(axis=1)) <= tolerance
-            leader[open_[alike]] = image
+            others = np.array(near.query_ball_point(quarters[image], reach))
+            others = others[leader[others] < 0]
+            alike = np.sqrt(((looks[others] - looks[image]) ** 2).mean(axis=1)) <= tolerance
+            leader[others[alike]] = image
             leader[image] = image
     return leader
