@@ -138,6 +138,12 @@ def test_a_leaf_seen_edge_on_is_listed_along_its_line() -> None:
     assert found == {(0, 1), (1, 1), (2, 1)}
 
 
+def test_a_single_leaf_seen_edge_on_ends_where_it_ends() -> None:
+    line = ((0.6, 0.0), (0.3, 0.0), (0.0, 0.0))  # up to 0.9 away; the centres of the next cells are 1 away
+    found = {cell[1:] for cell, found in read(footprints([(1.5, 1.5)], line), single=True).items() if found}
+    assert found == {(1, 1)}
+
+
 def test_the_thickness_of_a_leaf_counts_as_well() -> None:
     thick = ((0.0, 0.3), (0.0, 0.0), (1.2, 0.0))
     found = {cell[1:] for cell, found in read(footprints([(1.5, 1.5)], thick)).items() if found}

@@ -64,6 +64,8 @@ def of_clustered(done: "Clustered") -> Facts:
             "angle_mean_degrees": fit.angle_mean,
             "angle_worst_degrees": fit.angle_worst,
         }
+    if done.indirect_clusters:
+        facts["indirect_billboards"] = done.indirect_clusters.value.count
     return facts
 
 
