@@ -16,9 +16,9 @@ from treebake.placements import unpack
 Mask = NDArray[np.bool_]
 
 LIST_BITS = 10  # of a hash texel: the length of the list; the bits above are its offset
+SOFTNESS = 0.0625  # of the alpha test in mips
 RELIEF_STEPS = 3
 MOST_LOD = 4.0
-_NEVER = 1e30
 _STEEPEST = 4.0  # how far sidewards of a leaf's plane its relief is looked for, in heights of the relief
 
 
@@ -89,12 +89,16 @@ class Leaves:
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """What R rays meet: along (R,), the ray's parameter; placement (R,) int32, -1 for nothing; uv (R, 2) in the leaves
-    texture; lod (R,); away (R,), cells behind the front; behind (R,) bool, whether the leaf's back is seen.
+    """What R rays meet.
+
+    along: (R,), the ray's parameter. placement: (R,) int32, -1 for nothing. place: (R, 2) in the leaf, -1..1 of its
+    half sizes. uv: (R, 2) in the leaves texture. lod: (R,). away: (R,), cells behind the front. behind: (R,) bool,
+    whether the leaf's back is seen.
     """
 
     along: Doubles
     placement: Ints
+    place: Doubles
     uv: Doubles
     lod: Doubles
     away: Doubles
@@ -123,8 +127,8 @@ def look_up(
 ) -> Hits:
     """The nearest leaf of billboard `number` that each ray meets.
 
-    rays: in the tree's frame and unit. share: of each list that is looked up, from the viewer's end; dither: 0..1, from
-    where on a part of an entry counts.
+    rays: in the tree's frame and unit. share: of each list that is looked up, from the viewer's end. dither: 0..1, by
+    which what is true in part is decided: a broken number of entries, alpha in mips.
     """
     board = Billboard.of(textures.billboards[number])
     rays = rays.turned(board.to_cells)
@@ -140,7 +144,7 @@ def look_up(
         enter = leave = ends[0, :, 2]
     grid = board.size[:2].astype(int)
     cell = np.clip(np.floor(start[:, :2] + enter[:, None] * way[:, :2]).astype(int), 0, grid - 1)
-    step = np.sign(way[:, :2]).astype(int)
+    step = np.sign(inverse[:, :2]).astype(int)
     following = (cell + np.maximum(step, 0) - start[:, :2]) * inverse[:, :2]
     inside = enter <= leave
     while inside.any():
@@ -152,7 +156,8 @@ def look_up(
             ray = np.flatnonzero(entry < wanted)
             place = offset[ray] + np.where(front[ray], entry, count[ray] - 1 - entry)
             placement = board.first + lists[place].astype(np.int32)
-            _meet(decode_leaves(textures, placement, board.size), images, rays.of(ray), placement, ray, hits)
+            leaves = decode_leaves(textures, placement, board.size)
+            _meet(leaves, images, rays.of(ray), dither, placement, ray, hits)
         turn, axis = following.min(axis=1), (following[:, 0] >= following[:, 1]).astype(int)
         rows = np.arange(len(cell))
         inside &= (turn <= leave) & (hits.along > turn)
@@ -164,8 +169,9 @@ def look_up(
 
 def _nothing(count: int) -> Hits:
     return Hits(
-        along=np.full(count, _NEVER),
+        along=np.ones(count),
         placement=np.full(count, -1, np.int32),
+        place=np.zeros((count, 2)),
         uv=np.zeros((count, 2)),
         lod=np.zeros(count),
         away=np.zeros(count),
@@ -173,7 +179,7 @@ def _nothing(count: int) -> Hits:
     )
 
 
-def _meet(leaves: Leaves, images: Images, rays: Rays, placement: Ints, ray: Longs, hits: Hits) -> None:
+def _meet(leaves: Leaves, images: Images, rays: Rays, dither: float, placement: Ints, ray: Longs, hits: Hits) -> None:
     """Move hits to leaves that lie before them: one leaf and placement for each of the rays, numbers `ray` (N,)."""
     origin = np.einsum("ni,nij->nj", rays.start - leaves.centers, leaves.frames) / leaves.scales[:, None]
     go = np.einsum("ni,nij->nj", rays.way, leaves.frames) / leaves.scales[:, None]
@@ -205,10 +211,11 @@ def _meet(leaves: Leaves, images: Images, rays: Rays, placement: Ints, ray: Long
     level = np.minimum(lod.astype(int), 3)
     rows = np.arange(len(lod))
     low, high = leaves.thresholds[rows, level], leaves.thresholds[rows, level + 1]
-    opaque = leaves.rod | (sample_texture(images.color, uv, lod)[:, 3] >= low + (high - low) * (lod - level))
+    threshold = low + (high - low) * (lod - level) + (2 * dither - 1) * SOFTNESS * np.minimum(lod, 1)
+    opaque = leaves.rod | (sample_texture(images.color, uv, lod)[:, 3] >= threshold)
     meets &= (image[:, 2] > 0) & (along > 0) & (along < hits.along[ray]) & (np.abs(place) <= size).all(axis=1) & opaque
     away = rays.start[:, 2] + along * rays.way[:, 2]
-    found = Hits(along, placement, uv, lod, away, behind)
+    found = Hits(along, placement, place / size, uv, lod, away, behind)
     for name, values in vars(found).items():
         getattr(hits, name)[ray[meets]] = values[meets]
 

@@ -11,6 +11,7 @@ from treebake.gl.view import View, column_major
 from treebake.model import IndirectTextures, Texture
 
 _SRGB8_ALPHA8 = 0x8C43
+_DEPTH_CLAMP = 0x864F
 _CORNERS = 36  # vertices of a box
 
 # Width of a hash cell on screen in pixels: nothing is looked up at the first, everything from the second on.
@@ -61,7 +62,9 @@ class IndirectBillboards:
         array.program["to_clip"] = column_major(view.to_clip)
         gl.enable(gl.CULL_FACE)
         gl.cull_face = "front"  # a viewer inside a box sees its far sides only
+        gl.enable_direct(_DEPTH_CLAMP)  # of which some may lie beyond what the view sees
         array.render(moderngl.TRIANGLES, vertices=_CORNERS * self._billboards)
+        gl.disable_direct(_DEPTH_CLAMP)
         gl.cull_face = "back"
 
     def release(self) -> None:

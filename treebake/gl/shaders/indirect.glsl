@@ -51,8 +51,9 @@ Surface leaf_surface(Billboard board, Hit hit, vec3 way) {
     Leaf leaf = read_leaf(hit.placement, board.size);
     vec3 normal = unpacked(textureLod(leaf_normal, hit.uv, hit.lod).rg * 2.0 - 1.0);
     if (leaf.mirrored) normal.x = -normal.x;
-    if (leaf.rod) {
+    if (leaf.rod) {  // round, and turned to the viewer
         vec2 facing = normalize((way * leaf.frame).xz);
+        normal = unpacked(vec2(hit.place.x, 0.0));
         normal.xz = vec2(normal.x * facing.y + normal.z * facing.x, normal.z * facing.y - normal.x * facing.x);
     }
     return Surface(textureLod(leaf_color, hit.uv, hit.lod).rgb, leaf.frame * (hit.behind ? -normal : normal));
@@ -94,7 +95,7 @@ void main() {
     Surface surface;
     if (hit.placement >= 0) {
         surface = leaf_surface(board, hit, way);
-    } else if (share == 1.0 || !meets_far(board, start + at_plane * way, share, 0.5 / pixels, way.z < 0.0, surface)) {
+    } else if (share == 1.0 || at_plane <= 0.0 || at_plane >= 1.0 || !meets_far(board, start + at_plane * way, share, 0.5 / pixels, way.z < 0.0, surface)) {
         discard;
     } else {
         hit.along = at_plane;

@@ -16,6 +16,7 @@ uniform float largest;
 const int MOST_CANDIDATES = 1024;  // leaves of a billboard whose boxes one ray meets
 const int MOST_ENTRIES = 4096;     // list entries between two of them
 const int MOST_CELLS = 4096;       // cells between two of those
+const float SOFTNESS = 0.0625;  // of the alpha test in mips: even areas are then kept in part
 const int RELIEF_STEPS = 3;  // the height is read that often; each reading halves the error of a bent leaf, or better
 
 struct Billboard {
@@ -39,8 +40,9 @@ struct Leaf {
 };
 
 struct Hit {
-    float along;    // the ray's parameter
+    float along;    // the ray's parameter, 0..1
     int placement;  // -1 where nothing is hit
+    vec2 place;     // in the leaf, -1..1 of its half sizes
     vec2 uv;        // in the leaves texture
     float lod;      // mip level there
     float away;     // behind the front, in cells
@@ -125,8 +127,8 @@ bool meets_plane(Leaf leaf, vec3 start, vec3 way, out Meeting at) {
 }
 
 // Whether a leaf's image is opaque where a ray meets it; the hit is then moved there.
-// spread: distance of samples, at the ray's parameters 1 and 0, in cells.
-bool meets_image(Leaf leaf, Meeting at, vec2 spread, inout Hit hit) {
+// spread: distance of samples, at the ray's parameters 1 and 0, in cells. dither: as of `look_up`.
+bool meets_image(Leaf leaf, Meeting at, vec2 spread, float dither, inout Hit hit) {
     vec4 image = texelFetch(shapes, ivec2(at.behind ? 2 : 1, leaf.shape), 0);
     vec2 size = leaf.half_.xy;
     vec2 flip = vec2(leaf.mirrored ? -1.0 : 1.0, 1.0);
@@ -141,6 +143,7 @@ bool meets_image(Leaf leaf, Meeting at, vec2 spread, inout Hit hit) {
                     : lod < 2.0 ? mix(thresholds.x, thresholds.y, lod - 1.0)
                     : lod < 3.0 ? mix(thresholds.y, thresholds.z, lod - 2.0)
                                 : mix(thresholds.z, thresholds.w, lod - 3.0);
+    threshold += (2.0 * dither - 1.0) * SOFTNESS * min(lod, 1.0);
     vec2 inner = min(0.5 * exp2(ceil(lod)) / atlas, image.zw / 2.0);
     float along = at.along;
     vec2 place = at.place;
@@ -157,6 +160,7 @@ bool meets_image(Leaf leaf, Meeting at, vec2 spread, inout Hit hit) {
                   && (leaf.rod || textureLod(leaf_color, uv, lod).a >= threshold);
     if (opaque) {
         hit.along = along;
+        hit.place = place / size;
         hit.uv = uv;
         hit.lod = lod;
         hit.behind = at.behind;
@@ -165,9 +169,10 @@ bool meets_image(Leaf leaf, Meeting at, vec2 spread, inout Hit hit) {
 }
 
 // Walks a ray through the cells of a billboard and returns the nearest leaf that it meets.
-// share: of each list that is looked up, 0..1, from the viewer's end. dither: 0..1, which way part of an entry is rounded.
+// share: of each list that is looked up, 0..1, from the viewer's end. dither: 0..1, by which what is true in part is decided: a
+// broken number of entries, alpha in mips.
 Hit look_up(Billboard board, vec3 start, vec3 way, vec2 spread, float share, float dither) {
-    Hit hit = Hit(1e30, -1, vec2(0.0), 0.0, 0.0, false);
+    Hit hit = Hit(1.0, -1, vec2(0.0), vec2(0.0), 0.0, 0.0, false);
     // Where the ray is in the box.
     vec3 inverse_ = 1.0 / mix(way, vec3(1e-12), lessThan(abs(way), vec3(1e-12)));
     vec3 one = -start * inverse_;
@@ -179,7 +184,7 @@ Hit look_up(Billboard board, vec3 start, vec3 way, vec2 spread, float share, flo
     if (board.size.z == 0.0) exit_ = entry = enter.z;
     ivec2 cells = ivec2(board.size.xy);
     ivec2 cell = clamp(ivec2(floor(start.xy + entry * way.xy)), ivec2(0), cells - 1);
-    ivec2 step_ = ivec2(sign(way.xy));
+    ivec2 step_ = ivec2(sign(inverse_.xy));
     vec2 next = (vec2(cell + max(step_, 0)) - start.xy) * inverse_.xy;
     bool front = way.z > 0.0;
 
@@ -220,7 +225,7 @@ Hit look_up(Billboard board, vec3 start, vec3 way, vec2 spread, float share, flo
                 break;
             }
         }
-        if (placement >= 0 && meets_image(leaf, at, spread, hit)) {
+        if (placement >= 0 && meets_image(leaf, at, spread, dither, hit)) {
             hit.placement = placement;
             hit.away = start.z + hit.along * way.z;
         }

@@ -12,6 +12,7 @@ from treebake.flatten import plane_frames
 from treebake.model import Clusters, Doubles, Ints
 from treebake.stages.indirect.poses import Poses
 
+_FLAT = 1e-9  # of a cell: a thickness below this is rounding
 _TURNS = 12  # in a right angle: a box is turned within its plane by a multiple of 7.5 degrees
 
 
@@ -63,6 +64,6 @@ def box(clusters: Clusters, contents: tuple[Poses, ...], cell: float) -> Boxes:
         frames=frame,
         corners=np.column_stack([least, front]),
         sizes=np.maximum(np.ceil((most - least) / cell - 1e-9), 1).astype(np.int32),
-        depths=back - front,
+        depths=np.where(back - front < _FLAT * cell, 0, back - front),
         planes=clusters.offsets - front,
     )

@@ -8,18 +8,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from treebake.compression import compressed_mips
 from treebake.errors import BudgetError
 from treebake.gl.bake import FlatTriangles, bake_atlas
 from treebake.images import bleed, color_texels, normal_texels
-from treebake.model import Doubles, Floats, Leaves, Longs, Mesh, Texture
+from treebake.lookup import SOFTNESS
+from treebake.model import Bytes, Doubles, Floats, Leaves, Longs, Mesh, Texture
 from treebake.packing import pack_cells
 from treebake.stages.indirect.shapes import Shapes, faces_of
 
 BLOCK = 16  # texels: images start and end on its multiples, so that four mips keep them apart
 _SUPERSAMPLE = 4
 _MIPS = 4  # that are read
-_LEAST = 0.02  # threshold: below it compression's errors would show
 _SLENDER = 8  # times leaf_texels that the image of a leaf without texture is long at the most
+_BISECTIONS = 16
 _SHRINK = 0.9  # of all images, until they fit
 _THUMB = 16  # texels each way at which images are compared
 
@@ -27,8 +29,8 @@ _THUMB = 16  # texels each way at which images are compared
 @dataclass(frozen=True, eq=False)
 class LeafImages:
     """color: sRGB with coverage as alpha. normal: right and up in RG, height in B. front, back: (S, 4) float32, the
-    place of each shape's box in texture coordinates, corner and size; a back that is never seen has no size.
-    thresholds: (S, 4) float32, the alpha above which mips 1 to 4 of the front cover what mip 0 covers above 0.5.
+    place of each shape's box in texture coordinates, corner and size; a side that is never seen has no size.
+    thresholds: (S, 4) float32, the alpha at which mips 1 to 4 cover what mip 0 covers from 0.5 on.
     """
 
     color: Texture
@@ -48,35 +50,48 @@ def draw_leaf_images(
     """
     count = len(shapes.exemplars)
     sides = _Sides(foliage, leaves, shapes)
-    sizes = np.tile(sides.texel_sizes(leaf_texels), (2, 1))
-    leader = _leaders(sides.thumbs(), sizes, tolerance)
+    seen = np.flatnonzero(sides.seen)
+    sizes = np.tile(sides.texel_sizes(leaf_texels), (2, 1))[seen]
+    leader = _leaders(sides.thumbs(seen), sizes, tolerance)
     drawn, image = np.unique(leader, return_inverse=True)
     extent, origins, size = _pack(sizes[drawn], atlas)
-    color, normal, depth = sides.draw(drawn, origins, extent, size, _SUPERSAMPLE)
-    places = (np.concatenate([origins, extent], axis=1) / np.tile(size, 2)).astype(np.float32)[image]
-    back = np.where(sides.double_sided[:, None], places[count:], 0)
+    color, normal, depth = sides.draw(seen[drawn], origins, extent, size, _SUPERSAMPLE)
     coverage = color[..., 3]
+    colors = Texture("leaf_color", np.dstack([color_texels(color), np.rint(coverage * 255).astype(np.uint8)]))
     normals = normal_texels(normal, coverage)
     normals[..., 2] = np.rint((bleed(np.dstack([depth, depth, depth, coverage]))[..., 0] * 0.5 + 0.5) * 255)
+    places, thresholds = np.zeros((2 * count, 4), np.float32), np.zeros((2 * count, _MIPS), np.float32)
+    places[seen] = (np.concatenate([origins, extent], axis=1) / np.tile(size, 2))[image]
+    thresholds[seen] = _thresholds(compressed_mips(colors, srgb=True), origins, extent)[image]
     return LeafImages(
-        color=Texture("leaf_color", np.dstack([color_texels(color), np.rint(coverage * 255).astype(np.uint8)])),
+        color=colors,
         normal=Texture("leaf_normal", normals),
         front=places[:count],
-        back=back.astype(np.float32),
-        thresholds=_thresholds(coverage, origins, extent)[image[:count]],
+        back=places[count:],
+        thresholds=np.where(sides.seen[:count, None], thresholds[:count], thresholds[count:]),
     )
 
 
-def _thresholds(coverage: Floats, origins: Longs, extent: Doubles) -> Floats:
-    """The alpha that mips 1 to 4 of each image exceed on the area on which mip 0 exceeds 0.5: (images, 4) float32."""
+def _thresholds(mips: list[Bytes], origins: Longs, extent: Doubles) -> Floats:
+    """The alpha at which mips 1 to 4 of each image cover what mip 0 covers from 0.5 on: (images, 4) float32."""
     result = np.full((len(origins), _MIPS), 0.5, np.float32)
-    for row, ((x, y), (width, height)) in enumerate(zip(origins.tolist(), extent.astype(int).tolist(), strict=True)):
-        alpha = coverage[y : y + -(-height // BLOCK) * BLOCK, x : x + -(-width // BLOCK) * BLOCK]
-        covered = (alpha > 0.5).mean()
-        for mip in range(_MIPS):
-            alpha = (alpha[::2, ::2] + alpha[1::2, ::2] + alpha[::2, 1::2] + alpha[1::2, 1::2]) / np.float32(4)
-            result[row, mip] = np.clip(np.quantile(alpha, 1 - covered), _LEAST, 1 - _LEAST)
+    for row, (start, size) in enumerate(zip(origins, np.ceil(extent / BLOCK).astype(int) * BLOCK, strict=True)):
+        (x, y), (right, bottom) = start, start + size
+        covered = (mips[0][y:bottom, x:right, 3] >= 128).mean()
+        for mip in range(1, min(_MIPS + 1, len(mips))):
+            alpha = mips[mip][y >> mip : bottom >> mip, x >> mip : right >> mip, 3]
+            result[row, mip - 1] = _threshold(alpha, covered)
     return result
+
+
+def _threshold(alpha: Bytes, covered: float) -> float:
+    """Where the soft test of `SOFTNESS` lets the share `covered` of the texels pass."""
+    low, high = -SOFTNESS, 1 + SOFTNESS
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        passing = np.clip((alpha / 255 - middle) / (2 * SOFTNESS) + 0.5, 0, 1).mean()
+        low, high = (middle, high) if passing > covered else (low, middle)
+    return (low + high) / 2
 
 
 def _pack(sizes: Doubles, atlas: int) -> tuple[Doubles, Longs, tuple[int, int]]:
@@ -101,6 +116,7 @@ class _Sides:
     """The exemplars' faces, ready to be drawn: image i < S is the front of shape i, S + i its back.
 
     Both are drawn as seen from the front, so that where a leaf does not fold over itself they are the same image.
+    seen: (2 S,) bool, whether any face shows on that side.
     """
 
     def __init__(self, foliage: Mesh, leaves: Leaves, shapes: Shapes) -> None:
@@ -112,9 +128,13 @@ class _Sides:
         spokes = foliage.positions[vertices].astype(np.float64) - shapes.centers[self.shape][:, None]
         self.places = np.einsum("fij,fkj->fki", frames, spokes) / shapes.halves[self.shape][:, None]
         self.normals = np.einsum("fij,fkj->fki", frames, foliage.normals[vertices].astype(np.float64)) * (1, -1, -1)
-        materials = foliage.face_material[self.faces]
-        two_sided = np.array([material.double_sided for material in foliage.materials])[materials]
-        self.double_sided = np.logical_or.reduceat(two_sided, self.starts[:-1]) | shapes.is_twig
+        two_sided = np.array([material.double_sided for material in foliage.materials])
+        both = two_sided[foliage.face_material[self.faces]] | shapes.is_twig[self.shape]
+        (ux, uy), (vx, vy) = (np.moveaxis(self.places[:, i, :2] - self.places[:, 0, :2], 1, 0) for i in (1, 2))
+        to_front = ux * vy - uy * vx < 0  # counter-clockwise, and rows run down
+        self.seen = np.concatenate(
+            [np.logical_or.reduceat(both | facing, self.starts[:-1]) for facing in (to_front, ~to_front)]
+        )
 
     def texel_sizes(self, leaf_texels: int) -> Doubles:
         """(S, 2) whole texels of each shape's image at the density of its textures."""
@@ -133,11 +153,11 @@ class _Sides:
         density = np.where(self.shapes.is_twig, leaf_texels / sides.max(axis=1), density)
         return np.maximum(np.rint(sides * density[:, None]), 1)
 
-    def thumbs(self) -> Floats:
-        """Every image with its normals, small: (2 S, values)."""
-        images = np.arange(2 * len(self.shapes.exemplars))
+    def thumbs(self, images: Longs) -> Floats:
+        """Some images with their normals, small: (images, values)."""
         across = int(np.ceil(np.sqrt(len(images))))
-        origins = np.stack([images % across, images // across], axis=1) * _THUMB
+        tile = np.arange(len(images))
+        origins = np.stack([tile % across, tile // across], axis=1) * _THUMB
         size = across * _THUMB
         color, normal, _ = self.draw(images, origins, np.full((len(images), 2), _THUMB), (size, size), 2)
         both = np.concatenate([color, 0.5 * normal], axis=2)
@@ -154,7 +174,7 @@ class _Sides:
         face = np.arange(len(row)) - np.repeat(np.cumsum(number) - number, number) + self.starts[shape][row]
         place = self.places[face]
         texels = origins[row, None] + (place[..., :2] + 1) / 2 * extent[row, None]
-        depth = -0.999 * place[..., 2:] * np.where(back[row] > 0, -1, 1)[:, None, None]
+        depth = np.clip(-place[..., 2:] * np.where(back[row] > 0, -1, 1)[:, None, None], -0.999, 0.999)
         triangles = FlatTriangles(
             positions=np.concatenate([texels, depth], axis=2).astype(np.float32),
             uvs=self.foliage.uvs[self.foliage.faces[self.faces[face]]],

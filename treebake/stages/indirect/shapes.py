@@ -79,10 +79,13 @@ def _frames(foliage: Mesh, leaves: Leaves, faces: Ints, shape: Ints, exemplars: 
     winding = np.sign(d2[:, 0] * d1[:, 1] - d1[:, 0] * d2[:, 1])
     along_u = (e2 * d1[:, 1:] - e1 * d2[:, 1:]) * winding[:, None]
     textured = _sums(shape, along_u, len(exemplars))
-    spokes = (corners - leaves.centers[exemplars[shape], None]).reshape(-1, 3)
-    spokes -= normals[shape.repeat(3)] * (spokes * normals[shape.repeat(3)]).sum(axis=1, keepdims=True)
-    outer = (spokes[:, :, None] * spokes[:, None, :]).reshape(-1, 9)
-    longest = np.linalg.eigh(_sums(shape.repeat(3), outer, len(exemplars)).reshape(-1, 3, 3))[1][:, :, 2]
+    spokes = corners - leaves.centers[exemplars[shape], None]
+    spokes -= normals[shape, None] * np.einsum("fki,fi->fk", spokes, normals[shape])[..., None]
+    # Twelve times the second moment of a triangle over its area: of its corners, and of their sum.
+    sums = spokes.sum(axis=1)
+    moments = np.einsum("fki,fkj->fij", spokes, spokes) + sums[:, :, None] * sums[:, None, :]
+    weighted = (foliage.face_areas[faces][:, None, None] * moments).reshape(-1, 9)
+    longest = np.linalg.eigh(_sums(shape, weighted, len(exemplars)).reshape(-1, 3, 3))[1][:, :, 2]
     # An image's twig runs down the image, so that the shader knows its axis.
     right = np.where(leaves.is_twig[exemplars, None], np.cross(normals, leaves.axes[exemplars]), textured)
     right -= normals * (right * normals).sum(axis=1, keepdims=True)
