@@ -324,10 +324,6 @@ def test_as_many_images_as_the_texture_has_blocks_fit() -> None:
 # ---- thresholds ----------------------------------------------------------------------------------------------------
 
 
-def halved(alpha: Doubles) -> Doubles:
-    return (alpha[::2, ::2] + alpha[1::2, ::2] + alpha[::2, 1::2] + alpha[1::2, 1::2]) / 4
-
-
 def stripes(side: int) -> Bytes:
     """Slanting stripes, a fifth of the area: what mips blur away."""
     v, u = (np.mgrid[:side, :side] + 0.5) / side

@@ -62,12 +62,16 @@ def encode_floats(table: Floats) -> bytes:
     return _encode(table, "table.exr")
 
 
+_NO_DATE = "1970:01:01 00:00:00"  # EXR would have the time of writing, and files would differ
+
+
 def _encode(pixels: NDArray[Any], name: str) -> bytes:
     height, width, channels = pixels.shape
     kinds = {"uint8": oiio.UINT8, "uint16": oiio.UINT16, "float32": oiio.FLOAT}
     spec = oiio.ImageSpec(width, height, channels, kinds[pixels.dtype.name])
     spec.attribute("oiio:UnassociatedAlpha", 1)
     spec.attribute("png:compressionLevel", 6)
+    spec.attribute("DateTime", _NO_DATE)
     with TemporaryDirectory() as folder:
         path = Path(folder) / name
         target = oiio.ImageOutput.create(str(path))
