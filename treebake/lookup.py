@@ -17,9 +17,8 @@ Mask = NDArray[np.bool_]
 
 LIST_BITS = 10  # of a hash texel: the length of the list; the bits above are its offset
 SOFTNESS = 0.0625  # of the alpha test in mips
-RELIEF_STEPS = 3
+RELIEF_STEPS = 8  # in which a ray looks for the relief of a leaf
 MOST_LOD = 4.0
-_STEEPEST = 4.0  # how far sidewards of a leaf's plane its relief is looked for, in heights of the relief
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,61 +182,74 @@ def _meet(leaves: Leaves, images: Images, rays: Rays, dither: float, placement: 
     """Move hits to leaves that lie before them: one leaf and placement for each of the rays, numbers `ray` (N,)."""
     origin = np.einsum("ni,nij->nj", rays.start - leaves.centers, leaves.frames) / leaves.scales[:, None]
     go = np.einsum("ni,nij->nj", rays.way, leaves.frames) / leaves.scales[:, None]
-    along, place, margin = _meet_plane(leaves, origin, go)
-    behind = (go[:, 2] < 0) & ~leaves.rod
+    origin, go, enter, leave = _meet_box(leaves, origin, go)
+    behind = go[:, 2] < 0
     size = leaves.halves[:, :2]
-    meets = (np.abs(place) <= size + margin).all(axis=1)
 
     image = np.where(behind[:, None], leaves.back, leaves.front)
     height, width = images.color[0].shape[:2]
     texels = image[:, 2:] * (width, height)
-    sample = (rays.spread[:, 1] + (rays.spread[:, 0] - rays.spread[:, 1]) * along) / leaves.scales
-    with np.errstate(divide="ignore", invalid="ignore"):
-        most = np.clip(np.log2(texels.min(axis=1)) - 2, 0, MOST_LOD)  # the image is four texels wide there
-        lod = np.nan_to_num(np.clip(np.log2(sample * (texels / size).max(axis=1) / 2), 0, most))
+    sample = (rays.spread[:, 1] + (rays.spread[:, 0] - rays.spread[:, 1]) * enter) / leaves.scales
+    most = np.clip(np.log2(np.maximum(texels.min(axis=1), 1)) - 2, 0, MOST_LOD)  # the image is four texels wide there
+    lod = np.clip(np.log2(np.maximum(sample * (texels / size).max(axis=1) / 2, 1e-6)), 0, most)
     inner = np.minimum(0.5 * np.exp2(np.ceil(lod))[:, None] / (width, height), image[:, 2:] / 2)
-    flip = np.where(leaves.mirrored[:, None], (-1, 1), (1, 1))
+    flip = np.where(leaves.mirrored[:, None], (-0.5, 0.5), (0.5, 0.5))
 
-    def texture_place(place: Doubles) -> Doubles:
-        unit = np.clip(flip * place / size * 0.5 + 0.5, 0, 1)
+    def in_image(place: Doubles) -> Doubles:
+        unit = np.clip(flip * place / size + 0.5, 0, 1)
         return np.asarray(image[:, :2] + np.clip(unit * image[:, 2:], inner, image[:, 2:] - inner))
 
+    def behind_relief(along: Doubles) -> Doubles:
+        point = origin + along[:, None] * go
+        bump = sample_texture(images.normal, in_image(point[:, :2]), np.zeros(len(point)))[:, 2]
+        return np.asarray(point[:, 2] + (bump * 2 - 1) * leaves.halves[:, 2])
+
+    # The first step in which the ray changes sides of the relief, and where in it.
+    flat = leaves.rod | (leaves.halves[:, 2] == 0)
+    along, found, before = enter.copy(), flat.copy(), behind_relief(enter)
+    stride = (leave - enter) / RELIEF_STEPS
     for _ in range(RELIEF_STEPS):
-        bump = sample_texture(images.normal, texture_place(place), np.zeros(len(place)))[:, 2]
-        rise = (bump * 2 - 1) * leaves.halves[:, 2]
-        along = np.where(leaves.rod, along, (-rise - origin[:, 2]) / np.where(go[:, 2] == 0, 1, go[:, 2]))
-        place = np.where(leaves.rod[:, None], place, origin[:, :2] + along[:, None] * go[:, :2])
-    uv = texture_place(place)
+        after = behind_relief(along + stride)
+        turns = ~found & ((before < 0) != (after < 0))
+        behind = np.where(turns, before > 0, behind)
+        along += stride * np.where(turns, before / np.where(turns, before - after, 1), np.where(found, 0, 1))
+        found |= turns
+        before = after
+    place = origin[:, :2] + along[:, None] * go[:, :2]
+    uv = in_image(place)
     level = np.minimum(lod.astype(int), 3)
     rows = np.arange(len(lod))
     low, high = leaves.thresholds[rows, level], leaves.thresholds[rows, level + 1]
     threshold = low + (high - low) * (lod - level) + (2 * dither - 1) * SOFTNESS * np.minimum(lod, 1)
     opaque = leaves.rod | (sample_texture(images.color, uv, lod)[:, 3] >= threshold)
-    meets &= (image[:, 2] > 0) & (along > 0) & (along < hits.along[ray]) & (np.abs(place) <= size).all(axis=1) & opaque
+    meets = found & opaque & (enter <= leave) & (image[:, 2] > 0) & (along > 0) & (along < hits.along[ray])
+    meets &= (np.abs(place) <= size).all(axis=1)
     away = rays.start[:, 2] + along * rays.way[:, 2]
-    found = Hits(along, placement, place / size, uv, lod, away, behind)
-    for name, values in vars(found).items():
+    met = Hits(along, placement, place / size, uv, lod, away, behind)
+    for name, values in vars(met).items():
         getattr(hits, name)[ray[meets]] = values[meets]
 
 
-def _meet_plane(leaves: Leaves, origin: Doubles, go: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-    """Where rays in leaves' frames meet their planes: parameter (N,), place (N, 2), margin for the relief (N, 2)."""
-    length = np.linalg.norm(go, axis=1)
-    rise = np.where(np.abs(go[:, 2]) > 1e-6 * length, go[:, 2], 1e-6 * length)
-    along = -origin[:, 2] / rise
-    place = origin[:, :2] + along[:, None] * go[:, :2]
-    margin = leaves.halves[:, 2:] * np.minimum(np.abs(go[:, :2] / rise[:, None]), _STEEPEST)
-    # A rod turns about its axis until it faces the ray.
-    flat = go[:, [0, 2]]
-    facing = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-12)
-    to_rod = -(origin[:, [0, 2]] * facing).sum(axis=1) / np.maximum((flat * facing).sum(axis=1), 1e-12)
-    point = origin + to_rod[:, None] * go
-    across = point[:, 0] * facing[:, 1] - point[:, 2] * facing[:, 0]
-    rod = leaves.rod
+def _meet_box(leaves: Leaves, origin: Doubles, go: Doubles) -> tuple[Doubles, Doubles, Doubles, Doubles]:
+    """Where rays in leaves' frames are in their boxes: origin and way (N, 3), and the parameters in and out (N,).
+
+    Of a rod, which turns about its axis until it faces the ray, both parameters are where it stands, and the ray is
+    that of a flat leaf across it.
+    """
+    inverse = 1 / np.where(np.abs(go) < 1e-12, 1e-12, go)
+    ends = np.sort(np.stack([(-leaves.halves - origin) * inverse, (leaves.halves - origin) * inverse]), axis=0)
+    enter, leave = ends[0].max(axis=1), ends[1].min(axis=1)
+    across = go[:, [0, 2]]
+    facing = across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-12)
+    stands = -(origin[:, [0, 2]] * facing).sum(axis=1) / np.maximum((across * facing).sum(axis=1), 1e-12)
+    point = origin + stands[:, None] * go
+    aside = point[:, 0] * facing[:, 1] - point[:, 2] * facing[:, 0]
+    rod, towards = leaves.rod[:, None], np.array([0.0, 0.0, 1.0])
     return (
-        np.where(rod, to_rod, along),
-        np.where(rod[:, None], np.stack([across, point[:, 1]], axis=1), place),
-        np.where(rod[:, None], 0, margin),
+        np.where(rod, np.stack([aside, point[:, 1], np.zeros(len(point))], axis=1), origin),
+        np.where(rod, towards, go),
+        np.where(leaves.rod, stands, enter),
+        np.where(leaves.rod, stands, leave),
     )
 
 

@@ -17,7 +17,7 @@ const int MOST_CANDIDATES = 1024;  // leaves of a billboard whose boxes one ray 
 const int MOST_ENTRIES = 4096;     // list entries between two of them
 const int MOST_CELLS = 4096;       // cells between two of those
 const float SOFTNESS = 0.0625;  // of the alpha test in mips: even areas are then kept in part
-const int RELIEF_STEPS = 3;  // the height is read that often; each reading halves the error of a bent leaf, or better
+const int RELIEF_STEPS = 8;  // in which a ray looks for the relief of a leaf
 
 struct Billboard {
     mat3 turn;     // from the tree's axes to the billboard's, times cells per unit
@@ -97,47 +97,62 @@ Leaf read_leaf(int number, vec3 size) {
                 (word.w >> 15 & 1u) > 0u, shape);
 }
 
-// A ray in a leaf's frame, and where it meets the leaf's plane.
+// A ray in a leaf's frame, and where it is in the leaf's box.
 struct Meeting {
     vec3 from;
     vec3 go;
-    float along;
-    vec2 place;
-    bool behind;
+    float enter;
+    float leave;
 };
 
-// Where a ray meets a leaf's plane; false where it passes the leaf by.
-bool meets_plane(Leaf leaf, vec3 start, vec3 way, out Meeting at) {
+// Whether a ray passes through a leaf's box; a rod's is the rectangle that faces the ray.
+bool meets_box(Leaf leaf, vec3 start, vec3 way, out Meeting at) {
     at.from = (start - leaf.center) * leaf.frame / leaf.scale;  // row vector times matrix: into the leaf's frame
     at.go = way * leaf.frame / leaf.scale;
-    at.behind = at.go.z < 0.0 && !leaf.rod;  // it moves against `away`
-    vec2 margin = vec2(0.0);
     if (leaf.rod) {
         vec2 facing = at.go.xz / max(length(at.go.xz), 1e-12);
-        at.along = -dot(at.from.xz, facing) / max(dot(at.go.xz, facing), 1e-12);
-        vec3 point = at.from + at.along * at.go;
-        at.place = vec2(dot(point.xz, vec2(facing.y, -facing.x)), point.y);
-    } else {
-        float rise = abs(at.go.z) > 1e-6 * length(at.go) ? at.go.z : 1e-6 * length(at.go);
-        at.along = -at.from.z / rise;
-        at.place = at.from.xy + at.along * at.go.xy;
-        margin = leaf.half_.z * min(abs(at.go.xy / rise), 4.0);  // the leaf bulges out of its plane by so much
+        at.enter = at.leave = -dot(at.from.xz, facing) / max(dot(at.go.xz, facing), 1e-12);
+        vec3 point = at.from + at.enter * at.go;
+        // From here on the rod is a flat leaf that lies across the ray.
+        at.from = vec3(dot(point.xz, vec2(facing.y, -facing.x)), point.y, 0.0);
+        at.go = vec3(0.0, 0.0, 1.0);
+        return all(lessThanEqual(abs(at.from.xy), leaf.half_.xy));
     }
-    return all(lessThanEqual(abs(at.place), leaf.half_.xy + margin));
+    vec3 inverse_ = 1.0 / mix(at.go, vec3(1e-12), lessThan(abs(at.go), vec3(1e-12)));
+    vec3 one = (-leaf.half_ - at.from) * inverse_;
+    vec3 other = (leaf.half_ - at.from) * inverse_;
+    vec3 least = min(one, other);
+    vec3 most = max(one, other);
+    at.enter = max(max(least.x, least.y), least.z);
+    at.leave = min(min(most.x, most.y), most.z);
+    return at.enter <= at.leave;
 }
 
-// Whether a leaf's image is opaque where a ray meets it; the hit is then moved there.
+// Where a place in a leaf lies in the leaves texture; `inner`: how far from the image's edge it stays.
+vec2 in_image(Leaf leaf, vec4 image, vec2 place, vec2 inner) {
+    vec2 unit = clamp(place / leaf.half_.xy * vec2(leaf.mirrored ? -0.5 : 0.5, 0.5) + 0.5, 0.0, 1.0);
+    return image.xy + clamp(unit * image.zw, inner, image.zw - inner);
+}
+
+// How far behind the leaf's relief a ray is: negative before it.
+float behind_relief(Leaf leaf, Meeting at, float along, vec4 image, vec2 inner) {
+    vec3 point = at.from + along * at.go;
+    float height = textureLod(leaf_normal, in_image(leaf, image, point.xy, inner), 0.0).b * 2.0 - 1.0;
+    return point.z + height * leaf.half_.z;  // heights are towards the front's viewer
+}
+
+// Whether a leaf's image is opaque where a ray meets its relief; the hit is then moved there.
 // spread: distance of samples, at the ray's parameters 1 and 0, in cells. dither: as of `look_up`.
 bool meets_image(Leaf leaf, Meeting at, vec2 spread, float dither, inout Hit hit) {
-    vec4 image = texelFetch(shapes, ivec2(at.behind ? 2 : 1, leaf.shape), 0);
+    bool behind = at.go.z < 0.0;  // it moves against `away`
+    vec4 image = texelFetch(shapes, ivec2(behind ? 2 : 1, leaf.shape), 0);
     vec2 size = leaf.half_.xy;
-    vec2 flip = vec2(leaf.mirrored ? -1.0 : 1.0, 1.0);
     vec2 atlas = vec2(textureSize(leaf_color, 0));
     // The derivative of the texture coordinates by the sample's place: a sample grows with the distance.
-    float width = mix(spread.y, spread.x, at.along) / leaf.scale;
+    float width = mix(spread.y, spread.x, at.enter) / leaf.scale;
     vec2 texels = image.zw * atlas;
-    float most = clamp(log2(min(texels.x, texels.y)) - 2.0, 0.0, 4.0);  // the image is four texels wide there
-    float lod = clamp(log2(width * max(texels.x / size.x, texels.y / size.y) / 2.0), 0.0, most);
+    float most = clamp(log2(max(min(texels.x, texels.y), 1.0)) - 2.0, 0.0, 4.0);  // the image is four texels wide there
+    float lod = clamp(log2(max(width * max(texels.x / size.x, texels.y / size.y) / 2.0, 1e-6)), 0.0, most);
     vec4 thresholds = texelFetch(shapes, ivec2(3, leaf.shape), 0);  // at which mips 1 to 4 cover as much as mip 0
     float threshold = lod < 1.0 ? mix(0.5, thresholds.x, lod)
                     : lod < 2.0 ? mix(thresholds.x, thresholds.y, lod - 1.0)
@@ -145,25 +160,36 @@ bool meets_image(Leaf leaf, Meeting at, vec2 spread, float dither, inout Hit hit
                                 : mix(thresholds.z, thresholds.w, lod - 3.0);
     threshold += (2.0 * dither - 1.0) * SOFTNESS * min(lod, 1.0);
     vec2 inner = min(0.5 * exp2(ceil(lod)) / atlas, image.zw / 2.0);
-    float along = at.along;
-    vec2 place = at.place;
-    vec2 uv;
-    for (int i = 0; i <= RELIEF_STEPS; ++i) {
-        vec2 unit = clamp(flip * place / size * 0.5 + 0.5, 0.0, 1.0);
-        uv = image.xy + clamp(unit * image.zw, inner, image.zw - inner);
-        if (leaf.rod || i == RELIEF_STEPS) break;
-        float height = (textureLod(leaf_normal, uv, 0.0).b * 2.0 - 1.0) * leaf.half_.z;  // towards the front's viewer
-        along = (-height - at.from.z) / at.go.z;
-        place = at.from.xy + along * at.go.xy;
+
+    // The first step in which the ray changes sides of the relief, and where in it.
+    float along = at.enter;
+    bool meets = true;
+    if (leaf.half_.z > 0.0 && !leaf.rod) {
+        meets = false;
+        float before = behind_relief(leaf, at, at.enter, image, inner);
+        float stride = (at.leave - at.enter) / float(RELIEF_STEPS);
+        for (int i = 0; i < RELIEF_STEPS; ++i) {
+            float after = behind_relief(leaf, at, along + stride, image, inner);
+            if ((before < 0.0) != (after < 0.0)) {
+                behind = before > 0.0;
+                along += stride * before / (before - after);
+                meets = true;
+                break;
+            }
+            along += stride;
+            before = after;
+        }
     }
-    bool opaque = image.z > 0.0 && along > 0.0 && along < hit.along && all(lessThanEqual(abs(place), size))
+    vec2 place = at.from.xy + along * at.go.xy;
+    vec2 uv = in_image(leaf, image, place, inner);
+    bool opaque = meets && image.z > 0.0 && along > 0.0 && along < hit.along && all(lessThanEqual(abs(place), size))
                   && (leaf.rod || textureLod(leaf_color, uv, lod).a >= threshold);
     if (opaque) {
         hit.along = along;
         hit.place = place / size;
         hit.uv = uv;
         hit.lod = lod;
-        hit.behind = at.behind;
+        hit.behind = behind;
     }
     return opaque;
 }
@@ -220,7 +246,7 @@ Hit look_up(Billboard board, vec3 start, vec3 way, vec2 spread, float share, flo
             float nearest = (front ? leaf.center.z : -leaf.center.z) - board.reach;
             if (hit.placement >= 0 && nearest >= (front ? hit.away : -hit.away)) {
                 entered = wanted;
-            } else if (meets_plane(leaf, start, way, at)) {
+            } else if (meets_box(leaf, start, way, at)) {
                 placement = found;
                 break;
             }

@@ -16,6 +16,8 @@ from treebake.stages.indirect.lists import Footprints, in_rows, list_leaves
 from treebake.stages.indirect.poses import Poses, laid_flat, poses, snapped
 from treebake.stages.indirect.shapes import Shapes, find_shapes
 
+_LOWEST = 1e-4  # relief over half a leaf's height; below it a leaf is flat
+
 
 @dataclass(frozen=True)
 class IndirectSettings:
@@ -169,5 +171,6 @@ def _billboard_rows(
 def _shape_rows(shapes: Shapes, images: LeafImages) -> Floats:
     """The shapes table; FORMAT.md names the columns. Sizes are over half the shape's height."""
     halves = shapes.halves / shapes.halves[:, 1:2]
+    halves[:, 2] = np.where(halves[:, 2] < _LOWEST, 0, halves[:, 2])
     halves[shapes.is_twig] = 1
     return np.column_stack([halves, shapes.is_twig, images.front, images.back, images.thresholds]).astype(np.float32)

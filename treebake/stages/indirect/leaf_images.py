@@ -12,7 +12,7 @@ from treebake.compression import compressed_mips
 from treebake.errors import BudgetError
 from treebake.gl.bake import FlatTriangles, bake_atlas
 from treebake.images import bleed, color_texels, normal_texels
-from treebake.lookup import SOFTNESS
+from treebake.lookup import SOFTNESS, sample_texture
 from treebake.model import Bytes, Doubles, Floats, Leaves, Longs, Mesh, Texture
 from treebake.packing import pack_cells
 from treebake.stages.indirect.shapes import Shapes, faces_of
@@ -22,6 +22,7 @@ _SUPERSAMPLE = 4
 _MIPS = 4  # that are read
 _SLENDER = 8  # times leaf_texels that the image of a leaf without texture is long at the most
 _BISECTIONS = 16
+_PROBES = 48  # points each way
 _SHRINK = 0.9  # of all images, until they fit
 _THUMB = 16  # texels each way at which images are compared
 
@@ -61,8 +62,9 @@ def draw_leaf_images(
     normals = normal_texels(normal, coverage)
     normals[..., 2] = np.rint((bleed(np.dstack([depth, depth, depth, coverage]))[..., 0] * 0.5 + 0.5) * 255)
     places, thresholds = np.zeros((2 * count, 4), np.float32), np.zeros((2 * count, _MIPS), np.float32)
-    places[seen] = (np.concatenate([origins, extent], axis=1) / np.tile(size, 2))[image]
-    thresholds[seen] = _thresholds(compressed_mips(colors, srgb=True), origins, extent)[image]
+    of_drawn = (np.concatenate([origins, extent], axis=1) / np.tile(size, 2)).astype(np.float32)
+    places[seen] = of_drawn[image]
+    thresholds[seen] = _thresholds(compressed_mips(colors, srgb=True), of_drawn)[image]
     return LeafImages(
         color=colors,
         normal=Texture("leaf_normal", normals),
@@ -72,24 +74,33 @@ def draw_leaf_images(
     )
 
 
-def _thresholds(mips: list[Bytes], origins: Longs, extent: Doubles) -> Floats:
-    """The alpha at which mips 1 to 4 of each image cover what mip 0 covers from 0.5 on: (images, 4) float32."""
-    result = np.full((len(origins), _MIPS), 0.5, np.float32)
-    for row, (start, size) in enumerate(zip(origins, np.ceil(extent / BLOCK).astype(int) * BLOCK, strict=True)):
-        (x, y), (right, bottom) = start, start + size
-        covered = (mips[0][y:bottom, x:right, 3] >= 128).mean()
-        for mip in range(1, min(_MIPS + 1, len(mips))):
-            alpha = mips[mip][y >> mip : bottom >> mip, x >> mip : right >> mip, 3]
-            result[row, mip - 1] = _threshold(alpha, covered)
+def _thresholds(mips: list[Bytes], places: Floats) -> Floats:
+    """The alpha at which mips 1 to 4 of each image cover what mip 0 covers from 0.5 on: (images, 4) float32.
+
+    places: (images, 4), corner and size in texture coordinates. Measured in points across each, as lookups read it.
+    """
+    steps = (np.arange(_PROBES) + 0.5) / _PROBES
+    unit = np.stack(np.meshgrid(steps, steps), axis=2).reshape(-1, 2)
+    size = np.array(mips[0].shape[1::-1])
+    result = np.full((len(places), _MIPS), 0.5, np.float32)
+    for row, place in enumerate(places.astype(np.float64)):
+
+        def alpha(mip: int, place: Doubles = place) -> Doubles:
+            inner = np.minimum(0.5 * 2**mip / size, place[2:] / 2)
+            uv = place[:2] + np.clip(unit * place[2:], inner, place[2:] - inner)
+            return sample_texture(mips, uv, np.full(len(uv), float(mip)))[:, 3]
+
+        covered = float((alpha(0) >= 0.5).mean())
+        result[row] = [_threshold(alpha(mip), covered) for mip in range(1, _MIPS + 1)]
     return result
 
 
-def _threshold(alpha: Bytes, covered: float) -> float:
-    """Where the soft test of `SOFTNESS` lets the share `covered` of the texels pass."""
+def _threshold(alpha: Doubles, covered: float) -> float:
+    """Where the soft test of `SOFTNESS` lets the share `covered` of some values pass."""
     low, high = -SOFTNESS, 1 + SOFTNESS
     for _ in range(_BISECTIONS):
         middle = (low + high) / 2
-        passing = np.clip((alpha / 255 - middle) / (2 * SOFTNESS) + 0.5, 0, 1).mean()
+        passing = np.clip((alpha - middle) / (2 * SOFTNESS) + 0.5, 0, 1).mean()
         low, high = (middle, high) if passing > covered else (low, middle)
     return (low + high) / 2
 
