@@ -267,7 +267,7 @@ def test_truncated_json(oak: Path, cut: int) -> None:
         read_asset(oak)
 
 
-@pytest.mark.parametrize("key", ["generator", "name", "source", "levels", "indirect", "textures"])
+@pytest.mark.parametrize("key", ["generator", "name", "source", "levels", "textures"])
 def test_a_missing_key_is_named(oak: Path, key: str) -> None:
     edit(oak, **{key: None})
     with pytest.raises(AssetError, match=rf"manifest\.json is damaged \(.*{key}.*\)"):
@@ -373,13 +373,17 @@ def test_indirect_bytes_are_the_tables_and_the_compressed_images() -> None:
     [
         ("billboards", (0, 0), np.nan, "a table holds no numbers"),
         ("shapes", (0, 3), np.inf, "a table holds no numbers"),
-        ("hash_texture", (0, 0), 1023 << 10 | 2, "a list leaves the lists texture"),
+        ("hash_texture", (0, 0), 1023 << 10 | 2, "a list leaves its texture"),
         ("billboards", (0, 16), -1, "a billboard leaves the hash texture"),
         ("billboards", (1, 16), 2, "a billboard leaves the hash texture"),
         ("billboards", (1, 17), 2, "a billboard leaves the hash texture"),
         ("billboards", (0, 13), 3, "a billboard leaves the hash texture"),
-        ("billboards", (1, 18), -1, "a billboard leaves the placements"),
-        ("billboards", (1, 18), 1024, "a billboard leaves the placements"),
+        ("billboards", (1, 18), -1, "a billboard has no placements"),
+        ("billboards", (1, 18), 1024, "a list names a leaf that is not there"),
+        ("lists_texture", (0, 0), 65535, "a list names a leaf that is not there"),
+        ("billboards", (0, 12), 0, "a billboard has no size"),
+        ("billboards", (0, 14), -1, "a billboard has no size"),
+        ("shapes", (0, 1), 0, "a shape has no size"),
         ("placements", (0, 2, 3), 1 << 16, "a placement has an unknown shape"),
     ],
 )
@@ -392,12 +396,22 @@ def test_a_damaged_table_is_named(tmp_path: Path, table: str, index: tuple[int, 
 
 def test_the_last_list_and_the_last_placement_are_inside(tmp_path: Path) -> None:
     read_indirect(indirect_glb(tmp_path, **changed("hash_texture", (0, 0), 1022 << 10 | 2)))
-    read_indirect(indirect_glb(tmp_path, **changed("billboards", (1, 18), 1023)))
+    last = layers().leaves - 1
+    read_indirect(indirect_glb(tmp_path, **changed("billboards", (1, 18), last)))
+    with pytest.raises(AssetError, match="a list names a leaf that is not there"):
+        read_indirect(indirect_glb(tmp_path, **changed("billboards", (1, 18), last + 1)))
+
+
+def test_more_leaves_than_placements(tmp_path: Path) -> None:
+    path = rewritten(indirect_glb(tmp_path), pointing("leaves", 10**6))
+    with pytest.raises(AssetError, match="is damaged: there are fewer placements than leaves; bake the tree again"):
+        read_indirect(path)
 
 
 def test_an_empty_table_is_named(tmp_path: Path) -> None:
-    with pytest.raises(AssetError, match="is damaged: a table is empty; bake the tree again"):
-        read_indirect(indirect_glb(tmp_path, shapes=layers().shapes[:0]))
+    for gone in ({"shapes": layers().shapes[:0]}, {"billboards": layers().billboards[:0]}):
+        with pytest.raises(AssetError, match="is damaged: a table is empty; bake the tree again"):
+            read_indirect(indirect_glb(tmp_path, **gone))
 
 
 def test_ambient_light_without_its_placement_is_named(tmp_path: Path) -> None:
@@ -433,14 +447,19 @@ def pointing(name: str, to: object) -> Callable[[Any], object]:
     [
         (lambda document: document.pop("extras"), "extras"),
         (lambda document: document["extras"].pop("treebake"), "treebake"),
-        (lambda document: document["extras"].update(treebake=[]), "Expected `object`"),
+        (lambda document: document["extras"].update(treebake=[]), "list indices"),
         (lambda document: document["extras"]["treebake"]["indirect"].pop("leaves"), "leaves"),
         (pointing("placements", "5"), "Expected `int`"),
         (pointing("placements", 99), "out of range"),
         (pointing("far_color", 99), "out of range"),
         (pointing("placements", 0), "table placements has values of another kind"),  # floats
         (pointing("hash_width", 3), "reshape"),
-        (pointing("hash_width", 0), "reshape"),
+        (pointing("hash_width", 0), "`int` >= 1"),
+        (pointing("placements", -1), "`int` >= 0"),
+        (pointing("leaves", -5), "`int` >= 1"),
+        (pointing("largest", 0), "`float` > 0"),
+        (lambda document: document.update(bufferViews=[[]] * 40), "list"),
+        (lambda document: document.update(textures=[[]] * 40), "list"),
         (lambda document: document["bufferViews"][0].update(byteLength=10**9), "truncated"),
         (lambda document: document["accessors"][0].update(count=10**9), "leaves buffer view"),
         (lambda document: document["accessors"][0].update(count=3), "reshape"),

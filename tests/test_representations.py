@@ -124,7 +124,9 @@ def test_a_representation_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_an_unknown_representation_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SettingsError, match="has no twigs, only cloud, cloud_same_bytes, indirect"):
         representations(published(tmp_path), HEIGHTS, asked("twigs"))
-    with pytest.raises(SettingsError, match=r"verify\.representations: cloud, cloud_same_bytes, indirect"):
+    with pytest.raises(
+        SettingsError, match=r"verify\.representations: there is no twigs; known are cloud, cloud_same_bytes, indirect"
+    ):
         verify(cards(), cards(), asked("cloud", "twigs"))
 
 

@@ -6,7 +6,7 @@ FORMAT.md describes it, and the types here are its schema.
 import json
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -17,7 +17,7 @@ from treebake.errors import AssetError, InputError
 from treebake.formats.gltf_file import GltfFile
 from treebake.glb import write_glb
 from treebake.lookup import LIST_BITS
-from treebake.model import IndirectTextures, Mesh, Texture
+from treebake.model import IndirectTextures, Longs, Mesh, Texture
 
 TABLES = {  # name: values of one texel, texels of one row (0: of the image's own size)
     "billboards": (4, 5),
@@ -28,26 +28,42 @@ TABLES = {  # name: values of one texel, texels of one row (0: of the image's ow
     "ambient": (4, 1024),
 }
 IMAGES = ("leaf_color", "leaf_normal", "far_color", "far_normal")
+_UNREADABLE = (
+    OSError,
+    InputError,
+    KeyError,
+    IndexError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+    msgspec.ValidationError,
+)
 _NUMBERS = {"billboards": "f4", "shapes": "f4", "hash_texture": "u4", "lists_texture": "u2", "placements": "u4"}
+
+
+Index = Annotated[int, msgspec.Meta(ge=0)]
+Count = Annotated[int, msgspec.Meta(ge=1)]
+Length = Annotated[float, msgspec.Meta(gt=0)]
 
 
 @dataclass(frozen=True)
 class IndirectExtras:
     """Where the tables and images lie: accessors of the tables, glTF textures of the images."""
 
-    billboards: int
-    shapes: int
-    hash_texture: int
-    hash_width: int  # texels of a row of the hash texture
-    lists_texture: int
-    placements: int
-    ambient: int
-    leaves: int  # placements in use, twig pieces among them
-    largest: float  # half the height of the largest leaf, in hash cells
-    leaf_color: int
-    leaf_normal: int
-    far_color: int
-    far_normal: int
+    billboards: Index
+    shapes: Index
+    hash_texture: Index
+    hash_width: Count  # texels of a row of the hash texture
+    lists_texture: Index
+    placements: Index
+    ambient: Index
+    leaves: Count  # placements in use, twig pieces among them
+    largest: Length  # half the height of the largest leaf, in hash cells
+    leaf_color: Index
+    leaf_normal: Index
+    far_color: Index
+    far_normal: Index
 
 
 @dataclass(frozen=True)
@@ -81,18 +97,19 @@ def read_indirect(path: Path) -> IndirectTextures:
     """
     try:
         file = GltfFile(path)
-        extras = msgspec.convert(file.json["extras"]["treebake"], Extras)
-        if extras.format != FORMAT:
+        content = file.json["extras"]["treebake"]
+        if content["format"] != FORMAT:
             raise AssetError(
-                f"{path} is of format {extras.format}, and this treebake reads {FORMAT}; bake the tree again"
+                f"{path} is of format {content['format']}, and this treebake reads {FORMAT}; bake the tree again"
             )
-        where = extras.indirect
+        where = msgspec.convert(content, Extras).indirect
         found: Any = {name: _table(file, where, name) for name in TABLES}
         found |= {name: file.texture(getattr(where, name)) for name in IMAGES}
         textures = IndirectTextures(**found, leaves=where.leaves, largest=where.largest)
-    except (OSError, InputError, KeyError, IndexError, TypeError, ValueError, msgspec.ValidationError) as error:
+        damage = _damage(textures)
+    except _UNREADABLE as error:
         raise AssetError(f"{path} holds no usable indirect textures ({error}); bake the tree again") from error
-    if damage := _damage(textures):
+    if damage:
         raise AssetError(f"{path} is damaged: {damage}; bake the tree again")
     return textures
 
@@ -119,19 +136,43 @@ def _table(file: GltfFile, where: IndirectExtras, name: str) -> np.ndarray:
 
 def _damage(textures: IndirectTextures) -> str:
     """What is wrong with the tables, or nothing."""
-    hashes = textures.hash_texture.astype(np.int64)
-    ends = (hashes >> LIST_BITS) + (hashes & (1 << LIST_BITS) - 1)
-    boards = textures.billboards
+    if not all(isinstance(getattr(textures, name), Texture) for name in IMAGES):
+        return "an image is missing"
+    if not all(getattr(textures, name).size for name in TABLES):
+        return "a table is empty"
+    boards, hashes = textures.billboards, textures.hash_texture.astype(np.int64)
     sizes, origins, first = boards[:, 12:14], boards[:, 16:18], boards[:, 18]
-    images = [getattr(textures, name) for name in IMAGES]
     checks = (
-        (all(isinstance(image, Texture) for image in images), "an image is missing"),
         (np.isfinite(boards).all() and np.isfinite(textures.shapes).all(), "a table holds no numbers"),
-        (len(boards) > 0 and len(textures.shapes) > 0, "a table is empty"),
-        (ends.max(initial=0) <= textures.lists_texture.size, "a list leaves the lists texture"),
+        ((textures.shapes[:, :2] > 0).all(), "a shape has no size"),
+        (((hashes >> LIST_BITS) + _counts(hashes)).max() <= textures.lists_texture.size, "a list leaves its texture"),
+        ((sizes >= 1).all() and (boards[:, 14] >= 0).all(), "a billboard has no size"),
         ((origins >= 0).all() and (origins + sizes <= hashes.shape[::-1]).all(), "a billboard leaves the hash texture"),
-        ((first >= 0).all() and first.max() < textures.placements.size // 4, "a billboard leaves the placements"),
-        ((textures.placements[..., 3] >> 16).max() < len(textures.shapes), "a placement has an unknown shape"),
+        (textures.leaves <= textures.placements[..., 0].size, "there are fewer placements than leaves"),
         (textures.ambient.shape[:2] == textures.placements.shape[:2], "there is not one ambient entry per placement"),
+        ((textures.placements[..., 3] >> 16).max() < len(textures.shapes), "a placement has an unknown shape"),
+        ((first >= 0).all(), "a billboard has no placements"),
     )
-    return next((what for sound, what in checks if not sound), "")
+    wrong = next((what for sound, what in checks if not sound), "")
+    if not wrong and (first + _last_entries(textures) >= textures.leaves).any():
+        wrong = "a list names a leaf that is not there"
+    return wrong
+
+
+def _counts(hashes: Longs) -> Longs:
+    return hashes & (1 << LIST_BITS) - 1
+
+
+def _last_entries(textures: IndirectTextures) -> Longs:
+    """The greatest number that a list of each billboard holds."""
+    hashes = textures.hash_texture.astype(np.int64)
+    used = np.flatnonzero(_counts(hashes))
+    texels = hashes.reshape(-1)[used]
+    offsets, counts = texels >> LIST_BITS, _counts(texels)
+    entries = np.append(textures.lists_texture.reshape(-1).astype(np.int64), 0)
+    most = np.zeros(hashes.size, np.int64)
+    if len(used):
+        most[used] = np.maximum.reduceat(entries, np.stack([offsets, offsets + counts], axis=1).reshape(-1))[::2]
+    grid = most.reshape(hashes.shape)
+    grids = textures.billboards[:, [16, 17, 12, 13]].astype(int)
+    return np.array([grid[y : y + rows, x : x + columns].max() for x, y, columns, rows in grids])

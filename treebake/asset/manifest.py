@@ -62,8 +62,8 @@ class Manifest:
     name: str
     source: Source
     levels: Annotated[tuple[Level, ...], msgspec.Meta(min_length=1)]
-    indirect: Indirect | None  # null where there is no foliage
     textures: tuple[Image, ...]
+    indirect: Indirect | None = None  # where there is foliage
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class CloseUp:
         """The square window of `height` pixels in which a leaf at the edge is CLOSE_LEAF pixels long."""
         turn = _turn(self.elevation, self.azimuth)
         scale = 1 / math.tan(math.radians(FIELD_OF_VIEW / 2))
-        distance = CLOSE_UP / 2 * scale * self.leaf / CLOSE_LEAF
+        distance = height / 2 * scale * self.leaf / CLOSE_LEAF
         eye = self.edge + distance * turn[2]
         return _view(turn, eye, scale, (distance / 8, distance + self.depth), height, shift)
 

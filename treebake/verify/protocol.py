@@ -127,10 +127,13 @@ def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Came
         (not settings.heights or not all(16 <= height <= 2048 for height in settings.heights), "heights: 16 to 2048"),
         (not settings.elevations or not all(-90 <= e <= 90 for e in settings.elevations), "elevations: -90 to 90"),
         (settings.azimuths < 1, "azimuths: 1 or more"),
-        (not set(settings.representations) <= set(REPRESENTATIONS), f"representations: {', '.join(REPRESENTATIONS)}"),
     ):
         if bad:
             raise SettingsError(f"verify.{what}; at least one")
+    for name in settings.representations:
+        if name not in REPRESENTATIONS:
+            known = ", ".join(REPRESENTATIONS)
+            raise SettingsError(f"verify.representations: there is no {name}; known are {known}")
     if not source.triangles:
         raise MeshError("the source has no triangles, so nothing can be compared with it; give the tree that was baked")
     directions = cameras(source, settings.elevations, settings.azimuths)

@@ -107,9 +107,9 @@ def _draw(
             return result
 
         def moved(picture: Picture, camera: Camera | CloseUp) -> Picture:
-            if picture.color[:, -1].any():
+            if picture.color[:, [0, -1]].any():
                 return drawing.picture(camera.view(height, shift=1.0))
-            # A whole pixel's shift moves the same samples on, and the margin is empty: no need to draw again.
+            # A whole pixel's shift moves the same samples on, and the margins are empty: no need to draw again.
             return Picture(np.roll(picture.color, 1, axis=1), np.roll(picture.depth, 1, axis=1))
 
         def nothing(source: Picture) -> Scores:

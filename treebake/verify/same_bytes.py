@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from treebake.compression import block_bytes
 from treebake.images import mip_chain
-from treebake.model import Material, Mesh, Texture
+from treebake.model import AlphaMode, Material, Mesh, Texture
 
 _BLOCK = 16  # bytes: BC3 for colour, BC5 for normals
 
@@ -14,9 +14,10 @@ def with_texture_bytes(mesh: Mesh, limit: int) -> Mesh:
 
     Bytes are those of block-compressed textures with their mips, of all masked materials together.
     """
-    masked = [material for material in mesh.materials if material.alpha_mode == "MASK"]
+    masked = [material for material in mesh.materials if material.alpha_mode is AlphaMode.MASK]
+    images = {id(image): image for material in masked for image in (material.color_map, material.normal_map) if image}
     drop = 0
-    while sum(_bytes(image, drop) for material in masked for image in _images(material)) > limit:
+    while sum(_bytes(image, drop) for image in images.values()) > limit:
         drop += 1
 
     def smaller(material: Material) -> Material:
@@ -29,10 +30,6 @@ def with_texture_bytes(mesh: Mesh, limit: int) -> Mesh:
         )
 
     return replace(mesh, materials=tuple(map(smaller, mesh.materials)))
-
-
-def _images(material: Material) -> list[Texture]:
-    return [image for image in (material.color_map, material.normal_map) if image is not None]
 
 
 def _bytes(image: Texture, drop: int) -> int:

@@ -22,7 +22,7 @@ _SUPERSAMPLE = 4
 _MIPS = 4  # that are read
 _SLENDER = 8  # times leaf_texels that the image of a leaf without texture is long at the most
 _BISECTIONS = 16
-_PROBES = 48  # points each way
+_PROBES = 64  # points each way
 _SHRINK = 0.9  # of all images, until they fit
 _THUMB = 16  # texels each way at which images are compared
 
