@@ -710,3 +710,47 @@ def test_twigs_are_lit_as_round_rods() -> None:
         source, ours = (Drawing(*what).picture(view).color for what in ((tree.foliage,), (empty(), textures)))
         means = [(color[..., :3].sum(axis=(0, 1)) / color[..., 3].sum()) for color in (source, ours)]
         assert np.allclose(*means, rtol=0.2)
+
+
+def test_blended_materials_do_not_keep_billboards_from_hiding_each_other() -> None:
+    tree = leaf_tree([(0.0, 0.0, -0.5), (0.0, 0.0, 0.5)], size=1.0)
+    textures = indirect(tree, planes([0, 1], [(0, 0, 1), (0, 0, 1)], [0.5, 0.5]), PLAIN)
+    pane = replace(
+        leaf_tree([(5.0, 5.0, 0.0)], size=0.1).foliage, materials=(replace(GREEN, alpha_mode=AlphaMode.BLEND),)
+    )
+    view = Camera(0, 0, np.zeros(3), 1.0).view(64)
+    opaque, blended = (Drawing(mesh, textures).picture(view) for mesh in (empty(), pane))
+    np.testing.assert_array_equal(opaque.depth, blended.depth)
+
+
+def test_a_mirrored_leaf_is_lit_from_the_other_side() -> None:
+    bent = leaf_tree([(0.0, 0.0, 0.0)], size=1.0, shading=(0.8, 0.0, 0.6))
+    mesh = bent.foliage
+    flip = np.array([-1.0, 1.0, 1.0], np.float32)
+    mirror = replace(
+        mesh,
+        positions=mesh.positions * flip + np.float32([2, 0, 0]),
+        normals=mesh.normals * flip,
+        faces=mesh.faces[:, [0, 2, 1]].copy(),
+    )
+    tree = split(together(mesh, mirror), SplitSettings(foliage_materials=("*",)))
+    assert len(tree.leaves.exemplars) == 1, "the second leaf is a mirrored copy of the first"
+    textures = indirect(tree, planes([0, 0], [(0, 0, 1)], [0.0]), PLAIN)
+    view = Camera(0, 0, np.array([1.0, 0.0, 0.0]), 2.0).view(96)
+    source, ours = (Drawing(*what).picture(view) for what in ((tree.foliage,), (empty(), textures)))
+    whole = (source.color[..., 3] == 1) & (ours.color[..., 3] == 1)
+    assert np.abs(source.color - ours.color)[whole].max() < 0.03
+
+
+def test_where_a_far_billboard_is_full_no_part_of_the_lists_leaves_holes(monkeypatch: pytest.MonkeyPatch) -> None:
+    textures = indirect(
+        leaf_tree([(0.0, 0.0, 0.0)], size=1.0), planes([0], [(0, 0, 1)], [0]), replace(PLAIN, far_texels=16)
+    )
+    view = Camera(0, 0, np.zeros(3), 0.8).view(96)
+    whole = Drawing(empty(), textures).picture(view).color[..., 3]
+    cell = 1.5 * 96 / 1.6  # pixels, about
+    monkeypatch.setattr("treebake.gl.indirect.FADE", (0.0, 2 * cell))  # about half of every list
+    half = Drawing(empty(), textures).picture(view).color[..., 3]
+    inside = np.s_[44:84, 44:84]
+    assert whole[inside].min() == 1
+    assert half[inside].mean() > 0.99  # by halves of each it would be three quarters

@@ -12,7 +12,7 @@ from treebake.errors import BudgetError
 from treebake.images import to_linear
 from treebake.lookup import SOFTNESS, sample_texture
 from treebake.model import AlphaMode, Bytes, Doubles, Leaves, Material, Mesh, Texture, Tree
-from treebake.stages.indirect.leaf_images import BLOCK, LeafImages, draw_leaf_images
+from treebake.stages.indirect.leaf_images import BLOCK, LeafImages, _leaders, draw_leaf_images
 from treebake.stages.indirect.shapes import find_shapes
 
 UVS = ((0, 1), (1, 1), (1, 0), (0, 0))
@@ -386,3 +386,15 @@ def test_two_runs_give_the_same_bytes() -> None:
     np.testing.assert_array_equal(one.color.pixels, other.color.pixels)
     np.testing.assert_array_equal(one.normal.pixels, other.normal.pixels)
     np.testing.assert_array_equal(one.front, other.front)
+
+
+def test_an_image_stands_only_for_images_with_no_more_texels_either_way() -> None:
+    looks = np.zeros((3, 4 * 16 * 16), np.float32)
+    sizes = np.array([[64.0, 4.0], [16.0, 16.0], [8.0, 4.0]])
+    assert _leaders(looks, sizes, 0.1).tolist() == [0, 1, 0]
+
+
+def test_one_leaf_of_many_repeats_leaves_the_others_their_texels() -> None:
+    tree = leaf_tree([(0.0, 0.0, 1.0)], material=material(plain(32, 32)), uvs=((0, 64), (64, 64), (64, 0), (0, 0)))
+    found = images(tree)
+    assert texels(found, found.front[0])[2:] == (128, 128)

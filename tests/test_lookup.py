@@ -1,5 +1,6 @@
 """The shader's lookup next to its twin in numpy, pixel by pixel."""
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from foliage import leaf_tree, planes, random_leaves, rotation
 
+from treebake import lookup as lookup_module
 from treebake.compression import compressed_mips
 from treebake.gl import context as context_module
 from treebake.gl.context import context
@@ -151,3 +153,10 @@ def test_bilinear_sampling_by_hand() -> None:
     uv = np.array([[0.25, 0.5], [0.5, 0.5], [0.75, 0.5], [0.5, 0.5], [0.25, 0.5]])
     lod = np.array([0.0, 0.0, 0.0, 1.0, 0.5])
     assert np.allclose(sample_texture(mips, uv, lod)[:, 0], [0, 0.5, 1, 0.2, 0.1])
+
+
+def test_the_constants_are_the_shaders() -> None:
+    shader = (Path(context_module.__file__).parent / "shaders/indirect_lookup.glsl").read_text()
+    for name in ("LIST_BITS", "ROW_BITS", "RELIEF_STEPS", "MOST_LOD", "SOFTNESS"):
+        (value,) = re.findall(rf"const (?:int|float) {name} = ([\d.]+);", shader)
+        assert float(value) == getattr(lookup_module, name)

@@ -135,3 +135,9 @@ def test_damaged_indirect_textures_are_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "oak.glb").write_bytes((tmp_path / "oak_LOD0.glb").read_bytes())
     with pytest.raises(AssetError, match=r"oak\.glb holds no usable indirect textures"):
         representations(asset, HEIGHTS, ALL)
+
+
+def test_a_damaged_file_does_not_keep_the_cloud_from_being_judged(tmp_path: Path) -> None:
+    asset = published(tmp_path)
+    (tmp_path / asset.manifest.indirect.file).write_bytes(b"")
+    assert list(representations(asset, HEIGHTS, asked("cloud"))) == ["cloud"]

@@ -127,7 +127,7 @@ def test_gpu_bytes_count_each_used_texture_once_with_mipmaps() -> None:
     maps = Material("maps", color_map=image, normal_map=texture(np.zeros((1, 1, 3))))
     unused = Material("unused", color_map=texture(np.zeros((64, 64, 3))))
     mesh = joined(quad(maps), quad(Material("same", color_map=image)), quad(unused)).select(np.arange(6) < 4)
-    assert cost_of(mesh).gpu_bytes == 4 * (8 + 2 + 1) + 4 * 1 + 8 * 32 + 12 * 4
+    assert cost_of(mesh).gpu_bytes == 16 * 3 + 16 * 1 + 8 * 32 + 12 * 4  # a block of 16 bytes for each of 3 mips, and 1
 
 
 def test_indirect_billboards_cost_a_draw_call_a_box_each_and_their_bytes() -> None:

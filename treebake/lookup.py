@@ -16,6 +16,7 @@ from treebake.placements import unpack
 Mask = NDArray[np.bool_]
 
 LIST_BITS = 10  # of a hash texel: the length of the list; the bits above are its offset
+ROW_BITS = 10  # of the number of an entry of a table: its column
 SOFTNESS = 0.0625  # of the alpha test in mips
 RELIEF_STEPS = 8  # in which a ray looks for the relief of a leaf
 MOST_LOD = 4.0

@@ -8,12 +8,13 @@ The verifier stands apart: it reads published files only.
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from treebake.asset import Asset, read_asset, write_asset
+from treebake.errors import WorkspaceError
 from treebake.files import cache_folder
 from treebake.meshes import read_mesh
 from treebake.model import BakedTree, BillboardCloud, Clusters, Floats, Mesh, Tree
@@ -24,7 +25,17 @@ from treebake.stages.indirect import indirect
 from treebake.stages.split import split
 from treebake.stages.trunk import TrunkReport, compare, trunk
 from treebake.stages.twigs import twigs
-from treebake.verify import SCALE, CloseUp, Report, VerifySettings, close_ups, representations, verify, write_report
+from treebake.verify import (
+    JUDGED,
+    SCALE,
+    CloseUp,
+    Report,
+    VerifySettings,
+    close_ups,
+    representations,
+    verify,
+    write_report,
+)
 from treebake.workspace import Result, Workspace
 
 LOG = logging.getLogger("treebake")
@@ -37,6 +48,7 @@ class Source:
     """What the published asset says of the mesh that it was made from."""
 
     name: str
+    path: str  # of its file, which nothing that is published may replace
     triangles: int
     bounds: Floats  # (2, 3) float32
 
@@ -64,6 +76,7 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
 
     Raises InputError, SettingsError and WorkspaceError.
     """
+    _spare(path, work.folder, path.stem)
     with work.announce("load"):
         mesh = read_mesh(path, settings.load)
     parts = work.run(split, settings.split, Result.of(mesh))
@@ -73,7 +86,9 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
         leaves = tree.part("leaves")
         clusters = work.run(cluster, settings.cluster, leaves)
         indirect_clusters = work.run(cluster, settings.indirect_cluster, leaves, name=_INDIRECT_CLUSTER)
-    work.keep("source", Source(path.stem, mesh.triangles, mesh.bounds))  # last: make takes its date for the folder's
+    work.keep(
+        "source", Source(path.stem, str(path.resolve()), mesh.triangles, mesh.bounds)
+    )  # last: make takes its date for the folder's
     return Clustered(parts, tree, clusters, indirect_clusters)
 
 
@@ -85,21 +100,30 @@ def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Bake
     """
     command = f"treebake cluster TREE -o {work.folder}"
     source: Source = work.read("source", command).value
+    folder = out / source.name if out else work.folder
+    _spare(Path(source.path), folder, source.name)
     tree = work.read("twigs", command)
     layers = None
     if tree.value.leaves.count:
         leaves = tree.part("leaves")
         cloud = work.run(billboards, settings.textures, tree, work.read("cluster", command, leaves)).value
-        clusters = work.read(_INDIRECT_CLUSTER, command, leaves)
-        layers = work.run(indirect, settings.indirect, tree, clusters).value
+        if settings.indirect.enabled:
+            clusters = work.read(_INDIRECT_CLUSTER, command, leaves)
+            layers = work.run(indirect, settings.indirect, tree, clusters).value
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
     stem = work.run(trunk, settings.trunk, tree.part("trunk")).value
-    folder = out / source.name if out else work.folder
     with work.announce("asset"):
         write_asset(BakedTree(source.name, cloud, layers, stem, source.triangles, source.bounds), folder)
     pieces = tree.value.foliage.select(tree.value.leaves.is_twig[tree.value.leaves.face_leaf])
     return Baked(folder, compare(work.read("split", command).value.trunk, stem, pieces))
+
+
+def _spare(source: Path, folder: Path, name: str) -> None:
+    """Refuse to publish over the source itself."""
+    for target in (folder / f"{name}.glb", folder / f"{name}_LOD0.glb"):
+        if target.exists() and source.exists() and target.samefile(source):
+            raise WorkspaceError(f"{target} is the source and would be replaced; give another folder with -o")
 
 
 def inspect_tree(path: Path, settings: Settings) -> tuple[Mesh, Tree]:
@@ -138,7 +162,7 @@ def verify_asset(
         found[name] = verify(
             mesh,
             meshes,
-            settings.verify,
+            settings.verify if name in JUDGED else replace(settings.verify, thresholds={}),
             cache_folder(),
             indirect=layers,
             trunk=tree.trunk,

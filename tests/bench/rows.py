@@ -93,7 +93,8 @@ def _in_budget(asset: Path, *, foliage: int | None = None, whole: int | None = N
     manifest = json.loads((asset / "manifest.json").read_text())
     level = manifest["levels"][0]
     total = level["foliage_triangles"] + level["trunk_triangles"]
-    small = all(max(texture["size"]) <= 2048 for texture in manifest["textures"])
+    images = [texture for texture in manifest["textures"] if texture["color_space"] != "data"]
+    small = all(max(texture["size"]) <= 2048 for texture in images)
     return small and (foliage is None or level["foliage_triangles"] <= foliage) and (whole is None or total <= whole)
 
 

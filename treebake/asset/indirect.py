@@ -16,16 +16,16 @@ from treebake.compression import block_bytes
 from treebake.errors import AssetError, InputError
 from treebake.formats.gltf_file import GltfFile
 from treebake.glb import write_glb
-from treebake.lookup import LIST_BITS
+from treebake.lookup import LIST_BITS, ROW_BITS
 from treebake.model import IndirectTextures, Longs, Mesh, Texture
 
 TABLES = {  # name: values of one texel, texels of one row (0: of the image's own size)
     "billboards": (4, 5),
     "shapes": (4, 4),
     "hash_texture": (1, 0),
-    "lists_texture": (1, 1024),
-    "placements": (4, 1024),
-    "ambient": (4, 1024),
+    "lists_texture": (1, 1 << ROW_BITS),
+    "placements": (4, 1 << ROW_BITS),
+    "ambient": (4, 1 << ROW_BITS),
 }
 IMAGES = ("leaf_color", "leaf_normal", "far_color", "far_normal")
 _UNREADABLE = (
@@ -37,6 +37,7 @@ _UNREADABLE = (
     ValueError,
     AttributeError,
     OverflowError,
+    RecursionError,
     msgspec.ValidationError,
 )
 _NUMBERS = {"billboards": "f4", "shapes": "f4", "hash_texture": "u4", "lists_texture": "u2", "placements": "u4"}
@@ -144,6 +145,7 @@ def _damage(textures: IndirectTextures) -> str:
     sizes, origins, first = boards[:, 12:14], boards[:, 16:18], boards[:, 18]
     checks = (
         (np.isfinite(boards).all() and np.isfinite(textures.shapes).all(), "a table holds no numbers"),
+        (np.isfinite(textures.largest), "the largest leaf has no size"),
         ((textures.shapes[:, :2] > 0).all(), "a shape has no size"),
         (((hashes >> LIST_BITS) + _counts(hashes)).max() <= textures.lists_texture.size, "a list leaves its texture"),
         ((sizes >= 1).all() and (boards[:, 14] >= 0).all(), "a billboard has no size"),

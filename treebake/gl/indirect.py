@@ -6,6 +6,7 @@ import moderngl
 import numpy as np
 
 from treebake.compression import compressed_mips
+from treebake.errors import GraphicsError
 from treebake.gl.context import program
 from treebake.gl.view import View, column_major
 from treebake.model import IndirectTextures, Texture
@@ -52,7 +53,7 @@ class IndirectBillboards:
         self._boxes(self._array, view)
 
     def count(self, view: View) -> None:
-        """Add 1 for every fragment of the billboards to the framebuffer in use."""
+        """Add the rays that every fragment of the billboards casts to the framebuffer in use."""
         self._textures["billboards"].use(0)
         self._counter["billboards"] = 0
         self._boxes(self._count_array, view)
@@ -74,8 +75,17 @@ class IndirectBillboards:
         self._array.release()
         self._count_array.release()
 
+    def _check(self, width: int, height: int) -> None:
+        limit = self._gl.info["GL_MAX_TEXTURE_SIZE"]
+        if max(width, height) > limit:
+            raise GraphicsError(
+                f"the indirect textures need {width} x {height} texels, this OpenGL takes {limit}; bake fewer "
+                "billboards or a greater [indirect] cell"
+            )
+
     def _table(self, values: Any, dtype: str) -> moderngl.Texture:
         height, width, channels = values.shape
+        self._check(width, height)
         table = self._gl.texture((width, height), channels, np.ascontiguousarray(values), dtype=dtype, alignment=1)
         table.filter = moderngl.NEAREST, moderngl.NEAREST
         return table
@@ -83,6 +93,7 @@ class IndirectBillboards:
     def _image(self, texture: Texture, *, srgb: bool) -> moderngl.Texture:
         mips = compressed_mips(texture, srgb=srgb)
         height, width = mips[0].shape[:2]
+        self._check(width, height)
         options = {"internal_format": _SRGB8_ALPHA8} if srgb else {}
         image = self._gl.texture((width, height), 4, np.ascontiguousarray(mips[0]), **options)
         image.build_mipmaps(0, len(mips) - 1)

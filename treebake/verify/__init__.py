@@ -2,13 +2,14 @@
 
 from treebake.verify.cameras import CloseUp, close_ups
 from treebake.verify.figures import Figures
-from treebake.verify.protocol import Level, Report, Sample, VerifySettings, verify
+from treebake.verify.protocol import JUDGED, Level, Report, Sample, VerifySettings, verify
 from treebake.verify.reference import SCALE
 from treebake.verify.report import as_dict, format_table, write_report
 from treebake.verify.representations import representations
 from treebake.verify.thresholds import failures
 
 __all__ = [
+    "JUDGED",
     "SCALE",
     "CloseUp",
     "Figures",

@@ -23,6 +23,7 @@ from treebake.verify.thresholds import failures, parse
 LOG = logging.getLogger("treebake")
 
 REPRESENTATIONS = ("cloud", "cloud_same_bytes", "indirect")
+JUDGED = ("cloud", "indirect", "candidate")  # by the thresholds; the others are there to compare with
 _QUICK_HEIGHT = 256
 
 

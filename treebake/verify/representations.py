@@ -19,21 +19,24 @@ def representations(asset: Asset, heights: Collection[int], settings: VerifySett
 
     Raises AssetError where a file is damaged, and SettingsError where the asset has nothing of what is asked for.
     """
+    there = REPRESENTATIONS if asset.manifest.indirect else ("cloud",)
+    asked = settings.representations or REPRESENTATIONS
+    wanted = [name for name in there if name in asked]
+    if not wanted:
+        raise SettingsError(
+            f"{asset.folder} has no {' or '.join(asked)}, only {', '.join(there)}; change verify.representations"
+        )
     levels = {path: read_mesh(path) for path in asset.level_paths}
     cloud = {height: levels[asset.level_for(height)] for height in heights}
     found: dict[str, Drawn] = {"cloud": (cloud, None)}
-    if asset.manifest.indirect:
+    if asset.manifest.indirect and wanted != ["cloud"]:
         full = asset.folder / asset.manifest.indirect.file
         layers, mesh = read_indirect(full), read_mesh(full)
         limit = indirect_bytes(layers)
-        found["cloud_same_bytes"] = {height: with_texture_bytes(mesh, limit) for height, mesh in cloud.items()}, None
+        smaller = {path: with_texture_bytes(level, limit) for path, level in levels.items()}
+        found["cloud_same_bytes"] = {height: smaller[asset.level_for(height)] for height in heights}, None
         found["indirect"] = dict.fromkeys(heights, mesh.select(_is_trunk(mesh))), layers
-    asked = settings.representations or REPRESENTATIONS
-    if not any(name in found for name in asked):
-        raise SettingsError(
-            f"{asset.folder} has no {' or '.join(asked)}, only {', '.join(found)}; change verify.representations"
-        )
-    return {name: drawn for name, drawn in found.items() if name in asked}
+    return {name: found[name] for name in wanted}
 
 
 def _is_trunk(mesh: Mesh) -> np.ndarray:

@@ -34,7 +34,7 @@ float dither(int seed) {
     h ^= h >> 12;
     h *= 0x297A2D39u;
     h ^= h >> 15;
-    return (float(h >> 8) + 0.5) / 16777216.0;
+    return (float(h >> 9) + 0.5) / 8388608.0;  // as many bits as stay below 1
 }
 
 struct Surface {

@@ -16,6 +16,9 @@ uniform float largest;
 const int MOST_CANDIDATES = 1024;  // leaves of a billboard whose boxes one ray meets
 const int MOST_ENTRIES = 4096;     // list entries between two of them
 const int MOST_CELLS = 4096;       // cells between two of those
+const int LIST_BITS = 10;  // of a hash texel: the length of the list; the bits above are its offset
+const int ROW_BITS = 10;   // of the number of an entry: its column in the table
+const float MOST_LOD = 4.0;  // mips keep the images of the leaves apart so far
 const float SOFTNESS = 0.0625;  // of the alpha test in mips: even areas are then kept in part
 const int RELIEF_STEPS = 8;  // in which a ray looks for the relief of a leaf
 
@@ -60,7 +63,7 @@ Billboard read_billboard(int index) {
 
 // Where a numbered entry of the lists or placements lies: 1024 to a row.
 ivec2 in_rows(int number) {
-    return ivec2(number & 1023, number >> 10);
+    return ivec2(number & ((1 << ROW_BITS) - 1), number >> ROW_BITS);
 }
 
 // (1 + mantissa) * 2^-exponent of a few bits, the exponent above.
@@ -151,7 +154,7 @@ bool meets_image(Leaf leaf, Meeting at, vec2 spread, float dither, inout Hit hit
     // The derivative of the texture coordinates by the sample's place: a sample grows with the distance.
     float width = mix(spread.y, spread.x, at.enter) / leaf.scale;
     vec2 texels = image.zw * atlas;
-    float most = clamp(log2(max(min(texels.x, texels.y), 1.0)) - 2.0, 0.0, 4.0);  // the image is four texels wide there
+    float most = clamp(log2(max(min(texels.x, texels.y), 1.0)) - 2.0, 0.0, MOST_LOD);  // the image is four texels wide there
     float lod = clamp(log2(max(width * max(texels.x / size.x, texels.y / size.y) / 2.0, 1e-6)), 0.0, most);
     vec4 thresholds = texelFetch(shapes, ivec2(3, leaf.shape), 0);  // at which mips 1 to 4 cover as much as mip 0
     float threshold = lod < 1.0 ? mix(0.5, thresholds.x, lod)
@@ -215,7 +218,7 @@ Hit look_up(Billboard board, vec3 start, vec3 way, vec2 spread, float share, flo
     bool front = way.z > 0.0;
 
     uint texel = texelFetch(hash_texture, board.origin + cell, 0).r;
-    int count = int(texel & 1023u);  // of the cell's list
+    int count = int(texel & ((1u << LIST_BITS) - 1u));  // of the cell's list
     int wanted = int(share * float(count) + dither);
     int entered = 0;  // entries that were looked up
     bool inside = entry <= exit_;
@@ -233,12 +236,12 @@ Hit look_up(Billboard board, vec3 start, vec3 way, vec2 spread, float share, flo
                 next[axis] += abs(inverse_[axis]);
                 inside = turn <= exit_ && hit.along > turn && cell[axis] >= 0 && cell[axis] < cells[axis];
                 texel = texelFetch(hash_texture, board.origin + clamp(cell, ivec2(0), cells - 1), 0).r;
-                count = int(texel & 1023u);
+                count = int(texel & ((1u << LIST_BITS) - 1u));
                 wanted = int(share * float(count) + dither);
                 entered = 0;
             }
-            if (!inside) break;
-            int number = int(texel >> 10) + (front ? entered : count - 1 - entered);
+            if (!inside || entered >= wanted) break;
+            int number = int(texel >> LIST_BITS) + (front ? entered : count - 1 - entered);
             ++entered;
             int found = board.first + int(texelFetch(lists_texture, in_rows(number), 0).r);
             leaf = read_leaf(found, board.size);

@@ -16,6 +16,7 @@ from treebake.stages.indirect.lists import Footprints, in_rows, list_leaves
 from treebake.stages.indirect.poses import Poses, laid_flat, poses, snapped
 from treebake.stages.indirect.shapes import Shapes, find_shapes
 
+_MOST_TEXELS = 16384  # that a texture may have a side
 _LOWEST = 1e-4  # relief over half a leaf's height; below it a leaf is flat
 
 
@@ -23,6 +24,7 @@ _LOWEST = 1e-4  # relief over half a leaf's height; below it a leaf is flat
 class IndirectSettings:
     """How leaves become tables."""
 
+    enabled: bool = True  # false: none are made
     cell: float = 1.5  # side of a hash cell, in mean leaf sizes, > 0; smaller cells have shorter lists
     flat: bool = (
         False  # turn and move leaves into their plane, as the papers do, instead of leaving them where they are
@@ -50,6 +52,11 @@ def indirect(tree: Tree, clusters: Clusters, settings: IndirectSettings) -> Indi
             f"the leaves have {len(shapes.exemplars):,} different shapes and the placements can tell {SHAPES:,} apart; "
             "raise [split] copy_tolerance"
         )
+    if clusters.count > _MOST_TEXELS:
+        raise BudgetError(
+            f"the billboards table can hold {_MOST_TEXELS:,} billboards, not {clusters.count:,}; "
+            "lower [indirect_cluster] billboards"
+        )
     exact = poses(tree.foliage, leaves, shapes)
     flat = laid_flat(exact, leaves, clusters)
     drawn = flat if settings.flat else exact
@@ -64,6 +71,11 @@ def indirect(tree: Tree, clusters: Clusters, settings: IndirectSettings) -> Indi
             "raise [indirect] cell or limit"
         )
     origins, (width, height) = packed
+    if max(width, height) * settings.far_texels > _MOST_TEXELS:
+        raise BudgetError(
+            f"the low-resolution texture of {width} x {height} cells exceeds {_MOST_TEXELS} texels a side; "
+            "raise [indirect] cell or lower far_texels"
+        )
     order = np.argsort(clusters.labels, kind="stable")
     first = np.searchsorted(clusters.labels[order], np.arange(clusters.count))
     foot = _footprints(drawn, boxes, clusters, order, first, side)

@@ -23,6 +23,7 @@ _MIPS = 4  # that are read
 _SLENDER = 8  # times leaf_texels that the image of a leaf without texture is long at the most
 _BISECTIONS = 16
 _PROBES = 64  # points each way
+_REPEATS = 4  # of a map across a leaf, that its image has texels for
 _SHRINK = 0.9  # of all images, until they fit
 _THUMB = 16  # texels each way at which images are compared
 
@@ -46,7 +47,7 @@ def draw_leaf_images(
 ) -> LeafImages:
     """Draw every shape from both sides; images that differ by less than `tolerance` are stored once. O(texels).
 
-    leaf_texels: along the greatest side of a shape without texture. atlas: the greatest side of the texture; images
+    leaf_texels: along the root of the area of a shape without texture. atlas: the greatest side of the texture; images
     shrink until they fit. Raises BudgetError where they cannot.
     """
     count = len(shapes.exemplars)
@@ -160,6 +161,11 @@ class _Sides:
         sides = 2 * self.shapes.halves[:, :2]
         size = np.maximum(np.sqrt(sides.prod(axis=1)), sides.max(axis=1) / _SLENDER)
         density = np.where(density > 0, density, leaf_texels / size)
+        # One leaf across which a map repeats many times must not take the room of all others.
+        most = np.zeros(count)
+        side = np.array([0 if image is None else max(image.pixels.shape[:2]) for image in maps], np.float64)
+        np.maximum.at(most, self.shape, side[self.foliage.face_material[self.faces]])
+        density = np.where(most > 0, np.minimum(density, _REPEATS * most / sides.max(axis=1)), density)
         # Around a twig lies a whole tile of bark, so its texels are not square and their area says nothing.
         density = np.where(self.shapes.is_twig, leaf_texels / sides.max(axis=1), density)
         return np.maximum(np.rint(sides * density[:, None]), 1)
@@ -207,7 +213,7 @@ def _leaders(looks: Floats, sizes: Doubles, tolerance: float) -> Longs:
     for image in np.argsort(-np.prod(sizes, axis=1), kind="stable"):
         if leader[image] < 0:
             others = np.array(near.query_ball_point(quarters[image], reach))
-            others = others[leader[others] < 0]
+            others = others[(leader[others] < 0) & (sizes[others] <= sizes[image]).all(axis=1)]
             alike = np.sqrt(((looks[others] - looks[image]) ** 2).mean(axis=1)) <= tolerance
             leader[others[alike]] = image
             leader[image] = image

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from treebake.errors import BudgetError
-from treebake.lookup import LIST_BITS
+from treebake.lookup import LIST_BITS, ROW_BITS
 from treebake.model import Doubles, Ints, Longs, Words
 
 _LEAVES = 1 << 16  # that a lists entry can name
-_WIDTH = 1024  # texels of the tables that are addressed by a running number
+_WIDTH = 1 << ROW_BITS
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,7 +60,7 @@ def faces_of(leaves: Leaves, exemplars: Ints) -> tuple[Ints, Ints]:
 
 def _with_common_twigs(foliage: Mesh, leaves: Leaves) -> tuple[Ints, Ints]:
     """The shape of each leaf and the exemplars; of the twigs of one material, the one with the median area."""
-    shape = leaves.exemplars[leaves.shape].copy()  # named by its exemplar
+    shape = leaves.exemplars[leaves.shape]  # named by its exemplar
     material = np.zeros(leaves.count, np.int32)
     material[leaves.face_leaf] = foliage.face_material
     for index in np.unique(material[leaves.is_twig]):
