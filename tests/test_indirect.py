@@ -654,7 +654,7 @@ def test_more_shapes_than_the_bits_hold(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setattr(stage, "SHAPES", 3)
     indirect(tree, one_plane(tree), PLAIN)
     monkeypatch.setattr(stage, "SHAPES", 2)
-    with pytest.raises(BudgetError, match=r"3 different shapes .* 2 apart; raise \[split\] copy_tolerance"):
+    with pytest.raises(BudgetError, match=r"3 leaf shapes and can hold 2; raise \[split\] copy_tolerance"):
         indirect(tree, one_plane(tree), PLAIN)
 
 
@@ -754,3 +754,16 @@ def test_where_a_far_billboard_is_full_no_part_of_the_lists_leaves_holes(monkeyp
     inside = np.s_[44:84, 44:84]
     assert whole[inside].min() == 1
     assert half[inside].mean() > 0.99  # by halves of each it would be three quarters
+
+
+def test_more_billboards_than_a_texture_has_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("treebake.stages.indirect.indirect._MOST_TEXELS", 1)
+    tree = leaf_tree([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
+    with pytest.raises(BudgetError, match=r"2 billboards and can hold 1; lower \[indirect_cluster\] billboards"):
+        indirect(tree, planes([0, 1], [(0, 0, 1), (0, 0, 1)], [0, 0]), PLAIN)
+
+
+def test_a_low_resolution_texture_beyond_what_a_card_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("treebake.stages.indirect.indirect._MOST_TEXELS", 3)
+    with pytest.raises(BudgetError, match=r"raise \[indirect\] cell or lower far_texels"):
+        indirect(leaf_tree([(0.0, 0.0, 0.0)]), planes([0], [(0, 0, 1)], [0]), PLAIN)

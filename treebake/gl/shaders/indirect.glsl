@@ -52,7 +52,8 @@ Surface leaf_surface(Billboard board, Hit hit, vec3 way) {
     vec3 normal = unpacked(textureLod(leaf_normal, hit.uv, hit.lod).rg * 2.0 - 1.0);
     if (leaf.mirrored) normal.x = -normal.x;
     if (leaf.rod) {  // round, and turned to the viewer
-        vec2 facing = normalize((way * leaf.frame).xz);
+        vec2 facing = (way * leaf.frame).xz;
+        facing /= max(length(facing), 1e-12);
         normal = unpacked(vec2(hit.place.x, 0.0));
         normal.xz = vec2(normal.x * facing.y + normal.z * facing.x, normal.z * facing.y - normal.x * facing.x);
     }

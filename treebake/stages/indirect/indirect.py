@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from treebake.errors import BudgetError, SettingsError
-from treebake.model import Clusters, Floats, IndirectTextures, Leaves, Tree
+from treebake.model import Clusters, Floats, IndirectTextures, Ints, Leaves, Tree
 from treebake.packing import pack_cells
 from treebake.placements import SHAPES, Placements
 from treebake.placements import pack as pack_placements
@@ -26,9 +26,7 @@ class IndirectSettings:
 
     enabled: bool = True  # false: none are made
     cell: float = 1.5  # side of a hash cell, in mean leaf sizes, > 0; smaller cells have shorter lists
-    flat: bool = (
-        False  # turn and move leaves into their plane, as the papers do, instead of leaving them where they are
-    )
+    flat: bool = False  # lay leaves into their planes, as the papers do; otherwise they stay where they are
     single: bool = False  # one leaf a cell at most, [GSSK05]'s leaf distribution; best with a small cell
     orientations: int = 0  # directions within its plane to which a leaf is snapped; 0 keeps it exact
     leaf_texels: int = 64  # along the root of the area of the image of a leaf without texture, 4 to 1024
@@ -47,16 +45,7 @@ def indirect(tree: Tree, clusters: Clusters, settings: IndirectSettings) -> Indi
     _check(settings)
     leaves = tree.leaves
     shapes = find_shapes(tree.foliage, leaves)
-    if len(shapes.exemplars) > SHAPES:
-        raise BudgetError(
-            f"the leaves have {len(shapes.exemplars):,} different shapes and the placements can tell {SHAPES:,} apart; "
-            "raise [split] copy_tolerance"
-        )
-    if clusters.count > _MOST_TEXELS:
-        raise BudgetError(
-            f"the billboards table can hold {_MOST_TEXELS:,} billboards, not {clusters.count:,}; "
-            "lower [indirect_cluster] billboards"
-        )
+    _check_counts(len(shapes.exemplars), clusters.count)
     exact = poses(tree.foliage, leaves, shapes)
     flat = laid_flat(exact, leaves, clusters)
     drawn = flat if settings.flat else exact
@@ -64,18 +53,7 @@ def indirect(tree: Tree, clusters: Clusters, settings: IndirectSettings) -> Indi
         drawn = snapped(drawn, settings.orientations)
     side = settings.cell * _leaf_size(exact, leaves)
     boxes = box(clusters, (drawn, flat), side)  # the far texture shows the leaves laid flat
-    packed = pack_cells(boxes.sizes, settings.limit)
-    if packed is None:
-        raise BudgetError(
-            f"the hash texture of {clusters.count} billboards exceeds {settings.limit} x {settings.limit} texels; "
-            "raise [indirect] cell or limit"
-        )
-    origins, (width, height) = packed
-    if max(width, height) * settings.far_texels > _MOST_TEXELS:
-        raise BudgetError(
-            f"the low-resolution texture of {width} x {height} cells exceeds {_MOST_TEXELS} texels a side; "
-            "raise [indirect] cell or lower far_texels"
-        )
+    origins, (width, height) = _place_grids(boxes, settings)
     order = np.argsort(clusters.labels, kind="stable")
     first = np.searchsorted(clusters.labels[order], np.arange(clusters.count))
     foot = _footprints(drawn, boxes, clusters, order, first, side)
@@ -115,6 +93,34 @@ def _check(settings: IndirectSettings) -> None:
     ):
         if not valid:
             raise SettingsError(f"[indirect] {name} is {getattr(settings, name)}; it must be {hint}")
+
+
+def _check_counts(shapes: int, billboards: int) -> None:
+    for found, most, what, mend in (
+        (shapes, SHAPES, "leaf shapes", "raise [split] copy_tolerance"),
+        (billboards, _MOST_TEXELS, "billboards", "lower [indirect_cluster] billboards"),
+    ):
+        if found > most:
+            raise BudgetError(
+                f"the indirect textures need {found:,} {what} and can hold {most:,}; {mend}, or do without them by "
+                "[indirect] enabled = false"
+            )
+
+
+def _place_grids(boxes: Boxes, settings: IndirectSettings) -> tuple[Ints, tuple[int, int]]:
+    """The first texel of each billboard in the hash texture, and the texture's width and height."""
+    packed = pack_cells(boxes.sizes, settings.limit)
+    if packed is None:
+        raise BudgetError(
+            f"the hash texture of {len(boxes.sizes):,} billboards exceeds {settings.limit} x {settings.limit} texels; "
+            "raise [indirect] cell or limit"
+        )
+    if max(packed[1]) * settings.far_texels > _MOST_TEXELS:
+        raise BudgetError(
+            f"the low-resolution texture exceeds {_MOST_TEXELS} x {_MOST_TEXELS} texels; raise [indirect] cell or "
+            "lower far_texels"
+        )
+    return packed
 
 
 def _leaf_size(exact: Poses, leaves: Leaves) -> float:
