@@ -265,7 +265,7 @@ def test_tree_without_leaves_is_all_trunk_with_a_warning(tmp_path: Path, treebak
     assert "treebake: warning: split: no foliage" in result.err
     facts = json.loads(result.out)
     assert facts["levels"][0]["representations"] == "trunk"
-    assert facts["indirect"] == {}
+    assert "indirect" not in facts
 
 
 @pytest.mark.parametrize(
@@ -533,3 +533,11 @@ def test_indirect_textures_can_be_left_out(tmp_path: Path, tree: Path, treebake:
     manifest = json.loads((tmp_path / tree.stem / "manifest.json").read_text())
     assert manifest["indirect"] is None
     assert not (tmp_path / tree.stem / f"{tree.stem}.glb").exists()
+
+
+def test_verify_of_what_is_not_there(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    result = treebake("verify", tmp_path / "nowhere", "--source", tree)
+    assert (result.code, result.lines) == (
+        2,
+        [f"treebake: error: {tmp_path / 'nowhere'} does not exist; check the path"],
+    )

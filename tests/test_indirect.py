@@ -757,13 +757,13 @@ def test_where_a_far_billboard_is_full_no_part_of_the_lists_leaves_holes(monkeyp
 
 
 def test_more_billboards_than_a_texture_has_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("treebake.stages.indirect.indirect._MOST_TEXELS", 1)
+    monkeypatch.setattr(sys.modules["treebake.stages.indirect.indirect"], "_MOST_TEXELS", 1)
     tree = leaf_tree([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)])
     with pytest.raises(BudgetError, match=r"2 billboards and can hold 1; lower \[indirect_cluster\] billboards"):
         indirect(tree, planes([0, 1], [(0, 0, 1), (0, 0, 1)], [0, 0]), PLAIN)
 
 
 def test_a_low_resolution_texture_beyond_what_a_card_takes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("treebake.stages.indirect.indirect._MOST_TEXELS", 3)
+    monkeypatch.setattr(sys.modules["treebake.stages.indirect.indirect"], "_MOST_TEXELS", 3)
     with pytest.raises(BudgetError, match=r"raise \[indirect\] cell or lower far_texels"):
         indirect(leaf_tree([(0.0, 0.0, 0.0)]), planes([0], [(0, 0, 1)], [0]), PLAIN)

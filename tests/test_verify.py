@@ -286,6 +286,12 @@ def test_wrong_thresholds_are_refused_before_anything_is_drawn(
         verify(TREE, TREE, replace(FEW, thresholds=thresholds))
 
 
+def test_a_bound_may_be_for_the_close_up() -> None:
+    measured = [(64, replace(GOOD, flip=0.1)), ("close", replace(GOOD, flip=0.5))]
+    assert failures(measured, {"flip": {"close": 0.4}}) == ("flip close up is 0.500, above 0.4",)
+    assert failures(measured, {"flip": 0.4}) == ()  # a bound without a height is for the heights
+
+
 def test_the_report_holds_what_was_missed() -> None:
     report = verify(TREE, NOTHING, replace(FEW, thresholds={"coverage_min": {"64": 0.98}}))
     assert report.misses == ("coverage at 64 px is 0.000, below 0.98",)

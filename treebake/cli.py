@@ -255,7 +255,7 @@ def verify(
     with terminal.announce("verify") as progress:
         found, folder = verify_asset(judged, source, report, settings, progress)
     facts = {"report": str(folder), "representations": {name: as_dict(of_one) for name, of_one in found.items()}}
-    terminal.show(facts, text=f"{format_table(found)}\n\n= invisible; report: {folder}")
+    terminal.show(facts, text=f"{format_table(found)}\n\n(= is invisible)  report: {folder}")
     misses = [f"{name.replace('_', ' ')}: {miss}" for name, of_one in found.items() for miss in of_one.misses]
     for miss in misses:
         say(f"treebake: missed: {miss}")

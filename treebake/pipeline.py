@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from treebake.asset import Asset, read_asset, write_asset
-from treebake.errors import WorkspaceError
+from treebake.errors import InputError, WorkspaceError
 from treebake.files import cache_folder
 from treebake.meshes import read_mesh
 from treebake.model import BakedTree, BillboardCloud, Clusters, Floats, Mesh, Tree
@@ -142,6 +142,8 @@ def verify_asset(
     a mesh file is read as it is. The report goes into `report`, or else beside what it judges. Returns a report per
     representation, and the folder. Raises InputError, AssetError, GraphicsError, SettingsError and WorkspaceError.
     """
+    if not candidate.exists():
+        raise InputError(f"{candidate} does not exist; check the path")
     mesh, tree = inspect_tree(source, settings)
     heights = {*settings.verify.heights, 256}  # 256 is what a quick run draws
     if candidate.is_dir():
@@ -150,6 +152,8 @@ def verify_asset(
         judged = representations(asset, heights, settings.verify)
         folder = report or candidate / "report"
     else:
+        if settings.verify.representations:
+            LOG.warning("verify.representations is about assets; %s is drawn as a stock client draws it", candidate)
         judged = {"candidate": (dict.fromkeys(heights, read_mesh(candidate)), None)}
         folder = report or candidate.parent / f"{candidate.stem}_report"
     close = _close_ups(tree, settings.verify)

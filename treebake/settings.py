@@ -137,7 +137,9 @@ def _read(path: Path) -> dict[str, Any]:
 def _check(origin: str, tables: Tables) -> None:
     known = keys()
     for table, content in tables.items():
-        if table not in _tables() or not isinstance(content, dict):
+        if table in _tables() and not isinstance(content, dict):
+            raise SettingsError(f"{origin}: {table} is a table; set one of its keys, as in {table}.KEY = VALUE")
+        if table not in _tables():
             raise SettingsError(f"{origin}: there is no table [{table}]{_nearest(table, _tables())}")
         for name, value in ((f"{table}.{key}", value) for key, value in content.items()):
             if name not in known:

@@ -82,6 +82,6 @@ def of_asset(folder: Path) -> Facts:
         "made_by": manifest.generator,
         "source_triangles": manifest.source.triangles,
         "levels": [{**asdict(level), "representations": "+".join(level.representations)} for level in manifest.levels],
-        "indirect": asdict(manifest.indirect) if manifest.indirect else {},
+        **({"indirect": asdict(manifest.indirect)} if manifest.indirect else {}),
         "textures": [{**asdict(image), "size": "x".join(map(str, image.size))} for image in manifest.textures],
     }

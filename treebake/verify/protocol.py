@@ -18,7 +18,7 @@ from treebake.verify.cost import Cost, cost_of
 from treebake.verify.figures import Figures, summed_up
 from treebake.verify.metrics import SKY, Scores, over, score, score_all
 from treebake.verify.reference import SCALE, reference
-from treebake.verify.thresholds import failures, parse
+from treebake.verify.thresholds import CLOSE, failures, parse
 
 LOG = logging.getLogger("treebake")
 
@@ -38,7 +38,7 @@ class VerifySettings:
     representations: tuple[str, ...] = ()  # of an asset: "cloud", "cloud_same_bytes", "indirect"; none given: all
     thresholds: dict[str, float | dict[str, float]] = field(default_factory=dict)
     # bounds on the candidate's figures: a figure's name, with _min or _max (default), to a value, or to one per height,
-    # e.g. { flip_ratio = { 512 = 1.2, 256 = 1.0 }, coverage_min = 0.98 }
+    # e.g. { flip_ratio = { 512 = 1.2, close = 1.0 }, coverage_min = 0.98 }
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +119,9 @@ def verify(
 
     levels = tuple(level(candidates[height], directions, height) for height in heights)
     close_up = level(candidates[heights[0]], close, CLOSE_UP) if close else None
-    measured = [(level.height, level.candidate) for level in levels]
+    measured: list[tuple[int | str, Figures]] = [(level.height, level.candidate) for level in levels]
+    if close_up:
+        measured.append((CLOSE, close_up.candidate))
     return Report(levels, close_up, len(directions), renderer(), failures(measured, settings.thresholds))
 
 
@@ -140,7 +142,7 @@ def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Came
     directions = cameras(source, settings.elevations, settings.azimuths)
     heights = [_QUICK_HEIGHT] if settings.quick else sorted(set(settings.heights), reverse=True)
     # A slip in the thresholds should not take minutes to show, nor pass as success.
-    asked = {height for _, _, height, _ in parse(settings.thresholds) if height is not None}
+    asked = {height for _, _, height, _ in parse(settings.thresholds) if isinstance(height, int)}
     if unknown := asked - set(settings.heights):
         raise SettingsError(f"verify.thresholds: {min(unknown)} px is not among verify.heights; measure it or drop it")
     if unseen := asked - set(heights):

@@ -8,33 +8,35 @@ from treebake.errors import SettingsError
 from treebake.verify.figures import Figures
 
 Thresholds = Mapping[str, float | Mapping[str, float]]
+CLOSE = "close"  # stands where a height does for the views of close up
 _FIGURES = tuple(field.name for field in fields(Figures))
 
 
-def failures(measured: Iterable[tuple[int, Figures]], thresholds: Thresholds) -> tuple[str, ...]:
+def failures(measured: Iterable[tuple[int | str, Figures]], thresholds: Thresholds) -> tuple[str, ...]:
     """Say which thresholds are missed, one line each, e.g. "flip_ratio at 256 px is 1.310, above 1.0".
 
-    measured: the figures at each height. thresholds: a figure's name, with _min or _max (without: _max), to a bound for
-    all heights or to one per height, {"512": 1.1}; a height that was not measured is not judged. A figure that could
-    not be measured misses every bound. Raises SettingsError for an unknown figure or a height that is no number.
+    measured: the figures at each height, and CLOSE up. thresholds: a figure's name, with _min or _max (without: _max),
+    to a bound for all heights or to one per height, {"512": 1.1, "close": 1.0}; a height that was not measured is not
+    judged. A figure that could not be measured misses every bound. Raises SettingsError for an unknown figure or a
+    height that is no number.
     """
     bounds = parse(thresholds)
     return tuple(
         _line(name, height, value, least, bound)
         for height, figures in measured
         for name, least, heights, bound in bounds
-        if heights in (None, height)
+        if height == heights or (heights is None and height != CLOSE)
         for value in [asdict(figures)[name]]
         if value is None or (value < bound if least else value > bound)
     )
 
 
-def parse(thresholds: Thresholds) -> list[tuple[str, bool, int | None, float]]:
-    """Take thresholds apart: the figure, whether the bound is the least, the height (None: all), the bound.
+def parse(thresholds: Thresholds) -> list[tuple[str, bool, int | str | None, float]]:
+    """Take thresholds apart: the figure, whether the bound is the least, the height (None: all, CLOSE), the bound.
 
     Raises SettingsError as `failures` does.
     """
-    bounds: list[tuple[str, bool, int | None, float]] = []
+    bounds: list[tuple[str, bool, int | str | None, float]] = []
     for key, value in thresholds.items():
         name = key.removesuffix("_min").removesuffix("_max")
         if name not in _FIGURES:
@@ -43,14 +45,17 @@ def parse(thresholds: Thresholds) -> list[tuple[str, bool, int | None, float]]:
             raise SettingsError(f"verify.thresholds: there is no figure {name}; {hint}")
         per_height = value if isinstance(value, Mapping) else {None: value}
         for height, bound in per_height.items():
-            if height is not None and not height.isdecimal():
-                raise SettingsError(f"verify.thresholds.{key}: {height} is no height; give pixels, e.g. 512 = {bound}")
-            bounds.append((name, key.endswith("_min"), None if height is None else int(height), float(bound)))
+            if height not in (None, CLOSE) and not height.isdecimal():
+                hint = f"give pixels, e.g. 512 = {bound}, or {CLOSE}"
+                raise SettingsError(f"verify.thresholds.{key}: {height} is no height; {hint}")
+            where = height if height in (None, CLOSE) else int(height)
+            bounds.append((name, key.endswith("_min"), where, float(bound)))
     return bounds
 
 
-def _line(name: str, height: int, value: float | None, least: bool, bound: float) -> str:
+def _line(name: str, height: int | str, value: float | None, least: bool, bound: float) -> str:
+    where = "close up" if height == CLOSE else f"at {height} px"
     if value is None:
-        return f"{name} at {height} px could not be measured, and is asked for"
+        return f"{name} {where} could not be measured, and is asked for"
     shown = f"{value:.3f}" if isinstance(value, float) else f"{value:,}"
-    return f"{name} at {height} px is {shown}, {'below' if least else 'above'} {bound:g}"
+    return f"{name} {where} is {shown}, {'below' if least else 'above'} {bound:g}"
