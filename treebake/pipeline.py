@@ -1,7 +1,7 @@
 """The order of the stages, on one screen.
 
     load -> split -> twigs -> cluster, twice                `cluster_tree`: a mesh file into the work folder
-            -> billboards, indirect, trunk -> write_asset   `bake_textures`: the work folder into the published one
+            -> indirect, billboards, trunk -> write_asset   `bake_textures`: the work folder into the published one
 
 The verifier stands apart: it reads published files only.
 """
@@ -93,7 +93,7 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
 
 
 def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Baked:
-    """Render the clusters of a work folder into an atlas, simplify the trunk and publish both.
+    """Bake the clusters of a work folder into indirect textures and an atlas, simplify the trunk and publish all.
 
     The asset goes to OUT/NAME, or into the work folder itself where `out` is None.
     Raises WorkspaceError where `cluster_tree` has not been run, BudgetError, GraphicsError and SettingsError.
@@ -106,10 +106,10 @@ def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Bake
     layers = None
     if tree.value.leaves.count:
         leaves = tree.part("leaves")
-        cloud = work.run(billboards, settings.textures, tree, work.read("cluster", command, leaves)).value
-        if settings.indirect.enabled:
+        if settings.indirect.enabled:  # the quicker one first: it may find that something does not fit
             clusters = work.read(_INDIRECT_CLUSTER, command, leaves)
             layers = work.run(indirect, settings.indirect, tree, clusters).value
+        cloud = work.run(billboards, settings.textures, tree, work.read("cluster", command, leaves)).value
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
     stem = work.run(trunk, settings.trunk, tree.part("trunk")).value
