@@ -93,13 +93,17 @@ def _i4(run: Runner) -> Measured:
 
 @row("I5", 1.0, "greatest ratio of our bytes to the paper's, over the seven species of Table 1")
 def _i5(run: Runner) -> Measured:
-    ratios, notes = [], []
+    ratios, notes, sides = [], [], []
     for species, (count, theirs) in TABLE_1.items():
-        manifest = run.manifest(species, *SMALL, *_planes(count), into="table1")["indirect"]
+        published = run.manifest(species, *SMALL, *_planes(count), into="table1")
+        tables = [each for each in published["textures"] if "hash" in each["file"] or "lists" in each["file"]]
+        sides += [max(table["size"]) for table in tables]
+        manifest = published["indirect"]
         ours = manifest["gpu_bytes"]
         ratios.append(ours / theirs)
         notes.append(f"{species} {manifest['leaves']:,} leaves {manifest['billboards']} {ours:,} : {count} {theirs:,}")
-    return Measured(max(ratios), max(ratios) <= 1, "; ".join(notes))
+    notes.append(f"hash and lists textures at most {max(sides)} texels a side")
+    return Measured(max(ratios), max(ratios) <= 1 and max(sides) <= 1024, "; ".join(notes))
 
 
 @row(
