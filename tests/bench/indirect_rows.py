@@ -138,7 +138,7 @@ def _i7(run: Runner) -> Measured:
     return Measured(bake / render, bake <= 100 * render, f"bake {bake:.1f} s, R {1000 * render:.1f} ms")
 
 
-@row("M1", None, "FLIP / floor(1 px) at 512 px and close up of the papers' simplifications; 8 views")
+@row("M1", None, "FLIP / floor(1 px) at 512 px and close up (8 views) of the papers' simplifications")
 def _m1(run: Runner) -> Measured:
     value = []
     for name in MODES:
