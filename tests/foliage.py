@@ -7,9 +7,25 @@ import numpy as np
 from stems import empty
 
 from treebake.flatten import plane_frames
-from treebake.model import Clusters, Doubles, Leaves, Material, Mesh, Tree
+from treebake.model import AlphaMode, Clusters, Doubles, Leaves, Material, Mesh, Texture, Tree
 
 GREEN = Material("leaf", base_color=(0.1, 0.5, 0.1, 1.0), double_sided=True)
+
+
+def painted() -> Material:
+    """A leaf whose picture has no symmetry: red above green, blue to the right, cut to a disc, black where clear."""
+    v, u = (np.mgrid[:64, :64] + 0.5) / 64
+    pixels = np.zeros((64, 64, 4), np.uint8)
+    pixels[..., 0] = np.where(v < 0.4, 220, 60)
+    pixels[..., 1] = np.where(v < 0.4, 60, 200)
+    pixels[..., 2] = np.where(u > 0.6, 200, 30)
+    inside = np.hypot(u - 0.5, v - 0.5) < 0.45
+    pixels[~inside] = 0
+    pixels[inside, 3] = 255
+    return Material("painted", color_map=Texture("painted", pixels), alpha_mode=AlphaMode.MASK, double_sided=True)
+
+
+PAINTED = painted()
 
 
 def frozen(value: Any) -> Any:

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from foliage import GREEN, leaf_tree, planes, random_leaves, rotation
+from foliage import GREEN, PAINTED, leaf_tree, planes, random_leaves, rotation
 from stems import empty
 
 from treebake.errors import BudgetError, SettingsError
@@ -22,22 +22,6 @@ from treebake.stages.cluster import ClusterSettings, cluster
 FINE, COARSE = BillboardSettings(leaf_texels=64), BillboardSettings(leaf_texels=12)
 PIXELS = 128
 DIAGONAL = (0.48, 0.6, 0.64)
-
-
-def painted() -> Material:
-    """A leaf whose picture has no symmetry: red above green, blue to the right, cut to a disc, black where clear."""
-    v, u = (np.mgrid[:64, :64] + 0.5) / 64
-    pixels = np.zeros((64, 64, 4), np.uint8)
-    pixels[..., 0] = np.where(v < 0.4, 220, 60)
-    pixels[..., 1] = np.where(v < 0.4, 60, 200)
-    pixels[..., 2] = np.where(u > 0.6, 200, 30)
-    inside = np.hypot(u - 0.5, v - 0.5) < 0.45
-    pixels[~inside] = 0
-    pixels[inside, 3] = 255
-    return Material("painted", color_map=Texture("painted", pixels), alpha_mode=AlphaMode.MASK, double_sided=True)
-
-
-PAINTED = painted()
 
 
 def own_planes(tree: Tree) -> Clusters:

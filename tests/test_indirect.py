@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from foliage import GREEN, frozen, leaf_tree, planes, random_leaves, rotation
+from foliage import GREEN, PAINTED, frozen, leaf_tree, planes, random_leaves, rotation
 from stems import empty, stem, together, tree_of
 from trees import tree as file_of
 
@@ -30,22 +30,6 @@ PLAIN = IndirectSettings()
 PIXELS = 160
 DIAGONAL = (0.48, 0.6, 0.64)
 NOTHING_LOOKED_UP, EVERYTHING_LOOKED_UP = (1e8, 2e8), (1e-9, 2e-9)
-
-
-def painted() -> Material:
-    """A leaf whose picture has no symmetry: red above green, blue to the right, cut to a disc, black where clear."""
-    v, u = (np.mgrid[:64, :64] + 0.5) / 64
-    pixels = np.zeros((64, 64, 4), np.uint8)
-    pixels[..., 0] = np.where(v < 0.4, 220, 60)
-    pixels[..., 1] = np.where(v < 0.4, 60, 200)
-    pixels[..., 2] = np.where(u > 0.6, 200, 30)
-    inside = np.hypot(u - 0.5, v - 0.5) < 0.45
-    pixels[~inside] = 0
-    pixels[inside, 3] = 255
-    return Material("painted", color_map=Texture("painted", pixels), alpha_mode=AlphaMode.MASK, double_sided=True)
-
-
-PAINTED = painted()
 
 
 # ---- trees ---------------------------------------------------------------------------------------------------------

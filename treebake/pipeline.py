@@ -86,9 +86,8 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
         leaves = tree.part("leaves")
         clusters = work.run(cluster, settings.cluster, leaves)
         indirect_clusters = work.run(cluster, settings.indirect_cluster, leaves, name=_INDIRECT_CLUSTER)
-    work.keep(
-        "source", Source(path.stem, str(path.resolve()), mesh.triangles, mesh.bounds)
-    )  # last: make takes its date for the folder's
+    about = Source(path.stem, str(path.resolve()), mesh.triangles, mesh.bounds)
+    work.keep("source", about)  # last: make takes its date for the folder's
     return Clustered(parts, tree, clusters, indirect_clusters)
 
 

@@ -88,12 +88,12 @@ class Drawing:
         gl = self._gl
         with gl.scope(target.samples, gl.DEPTH_TEST):
             gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
-            blended = [part.material.alpha_mode is AlphaMode.BLEND for part in self._parts]
-            for part in self._parts[: blended.count(False)]:
+            solid = sum(part.material.alpha_mode is not AlphaMode.BLEND for part in self._parts)
+            for part in self._parts[:solid]:
                 self._draw(part, view, target.samples)
             if self._indirect is not None:
                 self._indirect.draw(view)
-            for part in self._parts[blended.count(False) :]:
+            for part in self._parts[solid:]:
                 self._draw(part, view, target.samples)
         gl.copy_framebuffer(target.resolved, target.samples)
         self._check()

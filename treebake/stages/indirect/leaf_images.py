@@ -12,14 +12,14 @@ from treebake.compression import compressed_mips
 from treebake.errors import BudgetError
 from treebake.gl.bake import FlatTriangles, bake_atlas
 from treebake.images import bleed, color_texels, normal_texels
-from treebake.lookup import SOFTNESS, sample_texture
+from treebake.lookup import MOST_LOD, SOFTNESS, sample_texture
 from treebake.model import Bytes, Doubles, Floats, Leaves, Longs, Mesh, Texture
 from treebake.packing import pack_cells
 from treebake.stages.indirect.shapes import Shapes, faces_of
 
 BLOCK = 16  # texels: images start and end on its multiples, so that four mips keep them apart
 _SUPERSAMPLE = 4
-_MIPS = 4  # that are read
+_MIPS = int(MOST_LOD)  # that are read, besides the image itself
 _SLENDER = 8  # times leaf_texels that the image of a leaf without texture is long at the most
 _BISECTIONS = 16
 _PROBES = 64  # points each way
@@ -108,7 +108,6 @@ def _threshold(alpha: Doubles, covered: float) -> float:
 
 def _pack(sizes: Doubles, atlas: int) -> tuple[Doubles, Longs, tuple[int, int]]:
     """The sizes that images get, where they go, and the (width, height) of the texture, in texels."""
-    wanted = sizes
     while sizes.max() >= 1:
         blocks = np.ceil(np.maximum(sizes, 1) / BLOCK).astype(np.int32)
         if packed := pack_cells(blocks, atlas // BLOCK):
@@ -119,7 +118,7 @@ def _pack(sizes: Doubles, atlas: int) -> tuple[Doubles, Longs, tuple[int, int]]:
             )
         sizes = sizes * _SHRINK
     raise BudgetError(
-        f"{len(wanted)} leaf images do not fit into a texture of {atlas} x {atlas} texels; raise [indirect] atlas, "
+        f"{len(sizes)} leaf images do not fit into a texture of {atlas} x {atlas} texels; raise [indirect] atlas, "
         "or [indirect] likeness so that more of them are shared"
     )
 
