@@ -20,7 +20,8 @@ from synthetic import quad
 
 import treebake
 from treebake.asset import Asset, Level, Manifest, indirect_bytes, read_asset, read_indirect, write_asset
-from treebake.asset.indirect import IMAGES, TABLES, Extras, extras_schema, write_indirect
+from treebake.asset.extras import Extras, extras_schema
+from treebake.asset.indirect import IMAGES, TABLES, write_indirect
 from treebake.errors import AssetError, WorkspaceError
 from treebake.formats.gltf_file import GltfFile
 from treebake.images import read_image
@@ -561,7 +562,7 @@ def test_the_example_of_the_extras_is_one_and_names_every_key() -> None:
 
 def test_the_schema_of_the_extras_is_that_of_their_type() -> None:
     assert (FORMAT_MD.parent / "extras.schema.json").read_text(encoding="utf-8") == extras_schema(), (
-        "renew it from treebake.asset.indirect.extras_schema"
+        "renew it from treebake.asset.extras.extras_schema"
     )
 
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from treebake.model import Doubles, Floats
-from treebake.stages.billboards.coverage import preserve_coverage
+from treebake.coverage import preserve_coverage
 
 WITHIN = 0.1  # of the coverage
 

@@ -11,7 +11,7 @@ import pytest
 
 import treebake
 from treebake.asset import Manifest
-from treebake.asset.indirect import Extras, extras_schema
+from treebake.asset.extras import Extras, extras_schema
 from treebake.gl.indirect import FADE
 from treebake.lookup import LIST_BITS
 from treebake.placements import unpack

@@ -173,21 +173,33 @@ def cluster(terminal: Terminal, settings: "Settings", tree: Path, work: Path, fo
     terminal.show({"work": str(work), **of_clustered(done)})
 
 
-@cli.command(short_help="Render the planes into an atlas, simplify the trunk, publish.")
-@click.argument("work", type=_FILE)
+@cli.command(short_help="Bake every representation of a clustered tree, publish.")
+@click.argument("works", type=_FILE, nargs=-1, required=True, metavar="WORK...")
 @click.option("-o", "out", type=_FILE, metavar="OUT", help="Publish into OUT/NAME/.  [default: WORK itself]")
+@click.option(
+    "--shared-atlas", "shared", is_flag=True, help="Put the views of all trees into one texture, in OUT/shared_views/."
+)
 @_atlas
 @_trunk
 @_force
 @_configured
-def textures(terminal: Terminal, settings: "Settings", work: Path, out: Path | None, force: bool) -> None:
-    """Render the planes of a clustered WORK folder into an atlas, simplify the trunk and publish the asset."""
-    from treebake.pipeline import bake_textures
+def textures(
+    terminal: Terminal, settings: "Settings", works: tuple[Path, ...], out: Path | None, shared: bool, force: bool
+) -> None:
+    """Bake each clustered WORK folder: atlas, indirect textures, slicings, views, trunk; and publish the assets."""
+    from treebake.pipeline import bake_shared, bake_textures
     from treebake.summary import of_baked
     from treebake.workspace import Workspace
 
-    baked = bake_textures(Workspace(work, force, terminal.announce), out, settings)
-    terminal.show({"asset": str(baked.folder), **of_baked(baked)})
+    folders = [Workspace(work, force, terminal.announce) for work in works]
+    if shared:
+        if out is None:
+            raise click.UsageError("--shared-atlas needs a folder for what the trees share; name it with -o OUT")
+        baked = bake_shared(folders, out, settings)
+    else:
+        baked = [bake_textures(work, out, settings) for work in folders]
+    facts = {str(each.folder): {"asset": str(each.folder), **of_baked(each)} for each in baked}
+    terminal.show(next(iter(facts.values())) if len(facts) == 1 else facts)
 
 
 @cli.command(short_help="Mesh in, published asset out: cluster and textures in one.")

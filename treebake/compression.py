@@ -5,6 +5,8 @@ colours, then the nearest level). PyPI's encoder was tried first: etcpak 0.9.15 
 depends on the processor's instructions.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from treebake.images import mip_chain
@@ -13,6 +15,7 @@ from treebake.model import Bytes, Floats, Texture
 _FIVE_SIX_FIVE = np.array([31, 63, 31], np.float32)
 
 
+@lru_cache(maxsize=12)  # a few atlases: the same pictures are drawn at several heights
 def compressed_mips(texture: Texture, *, srgb: bool) -> list[Bytes]:
     """A texture's mips as compression leaves them: with srgb as a colour map (BC3), else each channel alone (BC4)."""
     through = through_bc3 if srgb else through_bc4

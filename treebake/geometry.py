@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from treebake.model import Doubles, Floats, Ints
+from treebake.model import Doubles, Floats, Ints, Mesh
 
 
 def weld(positions: Floats) -> Ints:
@@ -146,3 +146,33 @@ def reject(vectors: Doubles, axes: Doubles) -> Doubles:
     """What is left of vectors (N, 3) at right angles to unit axes (N, 3): (N, 3) float64."""
     rest: Doubles = vectors - axes * (vectors * axes).sum(axis=1, keepdims=True)
     return rest
+
+
+def turn_to(elevation: float, azimuth: float) -> Doubles:
+    """The world's axes as seen by who looks at its origin: (3, 3) float64, rows right, up, towards the viewer.
+
+    elevation: degrees above the horizon. azimuth: degrees from +Z towards +X; it tells right from left straight from
+    above too.
+    """
+    up, around = np.radians([elevation, azimuth])
+    towards = np.array([np.cos(up) * np.sin(around), np.sin(up), np.cos(up) * np.cos(around)])
+    right = np.array([np.cos(around), 0.0, -np.sin(around)])
+    return np.stack([right, np.cross(towards, right), towards])
+
+
+def join(first: Mesh, second: Mesh) -> Mesh:
+    """Both meshes in one; materials and nodes that they share stay shared."""
+    materials = first.materials + tuple(m for m in second.materials if m not in first.materials)
+    nodes = first.nodes + tuple(n for n in second.nodes if n not in first.nodes)
+    material = np.array([materials.index(m) for m in second.materials], np.int32)
+    node = np.array([nodes.index(n) for n in second.nodes], np.int32)
+    return Mesh(
+        positions=np.concatenate([first.positions, second.positions]),
+        normals=np.concatenate([first.normals, second.normals]),
+        uvs=np.concatenate([first.uvs, second.uvs]),
+        faces=np.concatenate([first.faces, second.faces + np.int32(len(first.positions))]),
+        face_material=np.concatenate([first.face_material, material[second.face_material]]),
+        face_node=np.concatenate([first.face_node, node[second.face_node]]),
+        materials=materials,
+        nodes=nodes,
+    )

@@ -110,6 +110,8 @@ class _Writer:
         """Extras as JSON: arrays and textures are stored, and stand as their indices."""
         if isinstance(value, dict):
             return {key: self.resolved(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [self.resolved(item) for item in value]
         if isinstance(value, np.ndarray):
             return self.table_accessor(value)
         return self.texture(value, with_alpha=value.has_alpha) if isinstance(value, Texture) else value

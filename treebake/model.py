@@ -87,6 +87,13 @@ class Mesh:
         return len(self.faces)
 
     @cached_property
+    def used(self) -> Ints:
+        """The vertices that faces use, ascending: (U,) int32."""
+        is_used = np.zeros(len(self.positions), bool)
+        is_used[self.faces] = True
+        return np.flatnonzero(is_used).astype(np.int32)
+
+    @cached_property
     def bounds(self) -> Floats:
         """Least and greatest corner of the used vertices: (2, 3) float32; zeros where there is no face."""
         if not len(self.faces):
@@ -234,12 +241,107 @@ class IndirectTextures:
 
 
 @dataclass(frozen=True, eq=False)
+class PictureAtlas:
+    """Pictures that stand in for a tree or parts of it, packed into one layout that four images share.
+
+    coverage: grey, what part of each texel is covered. The others have half its width and height. lit: sRGB colour
+    under the lamps of the bake. albedo: sRGB, without light. relief: RG are the surface's slopes to the picture's right
+    and up, -4 to 4; B is depth, from the far end of the picture's range to the viewer's. mips: how many of the
+    coverage's, below its first one, show nothing of a picture's neighbours.
+    """
+
+    coverage: Texture
+    lit: Texture
+    albedo: Texture
+    relief: Texture
+    mips: int
+
+
+@dataclass(frozen=True, eq=False)
+class Slicings:
+    """Foliage on parallel textured slices, in several orientations ([J00] 2.1).
+
+    slices: (S, 3 + 2 R, 4) float32, a row per slice as `asset/FORMAT.md` tells: frame and depth range, then R
+    rectangles. Slicing after slicing, around the tree from +Z towards +X and then the one seen from above, the furthest
+    slice first; then, from row `far_row` on, once more with one slice each.
+    count: slices of a slicing. center: (3,) float64, shared by all slicings. height: of the slicing box. above: whether
+    there is a slicing seen from above. far_height: pixels of the box's height below which one slice is drawn.
+    dropped: of the furthest slices, not drawn. brightness: m of the correction 1 + m alpha_s. exposure: factor of the
+    lit colours. untrimmed: texels of all slices before empty parts were cut off.
+    """
+
+    slices: Floats
+    orientations: int
+    count: int
+    center: Doubles
+    height: float
+    above: bool
+    far_row: int
+    far_height: float
+    dropped: int
+    brightness: float
+    exposure: float
+    atlas: PictureAtlas
+    untrimmed: int
+
+
+@dataclass(frozen=True, eq=False)
+class SlicedFoliage:
+    """Slicings and what goes with them.
+
+    solid: what is drawn as triangles beside them: large primitives, and the trunk once it is known. standard: the slices of two perpendicular slicings on cards with a
+    standard material, for viewers that know no slicings.
+    """
+
+    slicings: Slicings
+    solid: Mesh
+    standard: Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """A whole tree in pictures from several sides, shown on a card that faces the viewer ([I11]).
+
+    pictures: (K L, 5, 4) float32, a row per picture as `asset/FORMAT.md` tells: frame and depth range, rectangle.
+    Each of K views has L layers, the nearest first.
+    layout: "ring", K views around the tree from +Z towards +X, or "hemi", side x side of them on a hemi-octahedron.
+    side: K, or views along a side. layers: L. center: (3,) float64. radius: of the sphere about it that holds all.
+    support: (33,) float32, how far the tree reaches in a direction whose vertical part is -1 .. 1, however turned.
+    brightness, exposure: as in Slicings. The atlas may be that of other trees too.
+    """
+
+    pictures: Floats
+    layout: str
+    side: int
+    layers: int
+    center: Doubles
+    radius: float
+    support: Floats
+    brightness: float
+    exposure: float
+    atlas: PictureAtlas
+
+
+Layers = IndirectTextures | Slicings | Views  # what a shader of ours draws
+
+
+@dataclass(frozen=True, eq=False)
+class Impostor:
+    """Views of a tree, and two crossed cards with a standard material for viewers that know no views."""
+
+    views: Views
+    standard: Mesh
+
+
+@dataclass(frozen=True, eq=False)
 class BakedTree:
-    """Everything that is published of one tree. `source` is the whole source mesh's size, for the manifest."""
+    """Everything that is published of one tree; what was not baked is None. `source` is the whole source mesh's size."""
 
     name: str
     cloud: BillboardCloud
-    indirect: IndirectTextures | None  # None where there is no foliage
+    indirect: IndirectTextures | None
     trunk: Mesh
     source_triangles: int
     source_bounds: Floats  # (2, 3) float32
+    slicings: SlicedFoliage | None = None
+    views: Impostor | None = None

@@ -1,30 +1,44 @@
 """The order of the stages, on one screen.
 
     load -> split -> twigs -> cluster, twice                `cluster_tree`: a mesh file into the work folder
-            -> indirect, billboards, trunk -> write_asset   `bake_textures`: the work folder into the published one
+            -> indirect, billboards, trunk, slicings, views
+            -> write_asset                                  `bake_textures`: the work folder into the published one
 
 The verifier stands apart: it reads published files only.
 """
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from treebake.asset import Asset, read_asset, write_asset
-from treebake.errors import InputError, WorkspaceError
+from treebake.asset import Asset, read_asset, write_asset, write_shared_views
+from treebake.errors import InputError, SettingsError, WorkspaceError
 from treebake.files import cache_folder
+from treebake.geometry import join
 from treebake.meshes import read_mesh
-from treebake.model import BakedTree, BillboardCloud, Clusters, Floats, Mesh, Tree
+from treebake.model import (
+    BakedTree,
+    BillboardCloud,
+    Clusters,
+    Floats,
+    Impostor,
+    IndirectTextures,
+    Mesh,
+    SlicedFoliage,
+    Tree,
+)
 from treebake.settings import Settings
 from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
 from treebake.stages.indirect import indirect
+from treebake.stages.slicings import slicings
 from treebake.stages.split import split
 from treebake.stages.trunk import TrunkReport, compare, trunk
 from treebake.stages.twigs import twigs
+from treebake.stages.views import views
 from treebake.verify import (
     JUDGED,
     SCALE,
@@ -92,35 +106,98 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
 
 
 def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Baked:
-    """Bake the clusters of a work folder into indirect textures and an atlas, simplify the trunk and publish all.
+    """Bake the clusters of a work folder into every representation, and publish them.
 
     The asset goes to OUT/NAME, or into the work folder itself where `out` is None.
     Raises WorkspaceError where `cluster_tree` has not been run, BudgetError, GraphicsError and SettingsError.
     """
-    command = f"treebake cluster TREE -o {work.folder}"
-    source: Source = work.read("source", command).value
+    source = _source(work)
     folder = out / source.name if out else work.folder
     _spare(Path(source.path), folder, source.name)
-    tree = work.read("twigs", command)
-    layers = None
+    tree = work.read("twigs", _command(work))
+    impostor = None
+    if settings.views.enabled:
+        impostor = work.run(views, settings.views, Result.together([tree])).value[0]
+    return _publish(work, folder, settings, impostor, None)
+
+
+def bake_shared(works: Sequence[Workspace], out: Path, settings: Settings) -> list[Baked]:
+    """Bake several work folders as `bake_textures` does, into OUT/NAME each, their views into one atlas that all share.
+
+    Raises what `bake_textures` raises, and SettingsError where two trees have the same name or views are not baked.
+    """
+    names = [_source(work).name for work in works]
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise SettingsError(
+            f"two trees are named {min(twice)}; rename one of the files, for each has a folder of its own"
+        )
+    if not settings.views.enabled:
+        raise SettingsError("--shared-atlas is for views, and views.enabled is false; leave out one of them")
+    for work, name in zip(works, names, strict=True):
+        _spare(Path(_source(work).path), out / name, name)
+    trees = Result.together([work.read("twigs", _command(work)) for work in works])
+    gathered = Workspace(out / "shared_views", works[0].force, works[0].announce)
+    impostors: tuple[Impostor, ...] = gathered.run(views, settings.views, trees).value
+    shared = write_shared_views(list(zip(names, impostors, strict=True)), out)
+    beside = Path("..") / shared.relative_to(out)
+    return [
+        _publish(work, out / name, settings, impostor, beside)
+        for work, name, impostor in zip(works, names, impostors, strict=True)
+    ]
+
+
+def _publish(
+    work: Workspace, folder: Path, settings: Settings, impostor: Impostor | None, shared: Path | None
+) -> Baked:
+    """Run what is left of the stages and write the asset."""
+    source, command = _source(work), _command(work)
+    tree, parts = work.read("twigs", command), work.read("split", command)
+    layers: IndirectTextures | None = None
+    sliced: SlicedFoliage | None = None
     if tree.value.leaves.count:
         leaves = tree.part("leaves")
-        if settings.indirect.enabled:  # the quicker one first: it may find that something does not fit
+        if settings.indirect.enabled:  # the quicker ones first: they may find that something does not fit
             clusters = work.read(_INDIRECT_CLUSTER, command, leaves)
             layers = work.run(indirect, settings.indirect, tree, clusters).value
+        if settings.slicings.enabled:
+            sparse = work.run(twigs, settings.slicing_twigs, parts, name="slicing_twigs")
+            solid = work.run(trunk, settings.slicing_trunk, sparse.part("trunk"), name="slicing_trunk").value
+            sliced = work.run(slicings, settings.slicings, sparse).value
+            sliced = replace(sliced, solid=join(solid, sliced.solid))
         cloud = work.run(billboards, settings.textures, tree, work.read("cluster", command, leaves)).value
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
     stem = work.run(trunk, settings.trunk, tree.part("trunk")).value
     with work.announce("asset"):
-        write_asset(BakedTree(source.name, cloud, layers, stem, source.triangles, source.bounds), folder)
+        baked = BakedTree(
+            name=source.name,
+            cloud=cloud,
+            indirect=layers,
+            trunk=stem,
+            slicings=sliced,
+            views=impostor,
+            source_triangles=source.triangles,
+            source_bounds=source.bounds,
+        )
+        write_asset(baked, folder, shared)
     pieces = tree.value.foliage.select(tree.value.leaves.is_twig[tree.value.leaves.face_leaf])
-    return Baked(folder, compare(work.read("split", command).value.trunk, stem, pieces))
+    return Baked(folder, compare(parts.value.trunk, stem, pieces))
+
+
+def _command(work: Workspace) -> str:
+    """What makes the work folder."""
+    return f"treebake cluster TREE -o {work.folder}"
+
+
+def _source(work: Workspace) -> Source:
+    source: Source = work.read("source", _command(work)).value
+    return source
 
 
 def _spare(source: Path, folder: Path, name: str) -> None:
     """Refuse to publish over the source itself."""
-    for target in (folder / f"{name}.glb", folder / f"{name}_LOD0.glb"):
+    for suffix in ("", "_LOD0", "_slicings", "_views"):
+        target = folder / f"{name}{suffix}.glb"
         if target.exists() and source.exists() and target.samefile(source):
             raise WorkspaceError(f"{target} is the source and would be replaced; give another folder with -o")
 
@@ -167,7 +244,7 @@ def verify_asset(
             meshes,
             settings.verify if name in JUDGED else replace(settings.verify, thresholds={}),
             cache_folder(),
-            indirect=layers,
+            layers=layers,
             trunk=tree.trunk,
             close=close,
             progress=advance,

@@ -23,9 +23,11 @@ from treebake.meshes import LoadSettings
 from treebake.stages.billboards import BillboardSettings
 from treebake.stages.cluster import ClusterSettings
 from treebake.stages.indirect import IndirectSettings
+from treebake.stages.slicings import SlicingSettings
 from treebake.stages.split import SplitSettings
 from treebake.stages.trunk import TrunkSettings
 from treebake.stages.twigs import TwigSettings
+from treebake.stages.views import ViewSettings
 from treebake.verify import VerifySettings
 
 Tables = Mapping[str, Any]  # as TOML nests them: table -> key -> value
@@ -34,6 +36,15 @@ Tables = Mapping[str, Any]  # as TOML nests them: table -> key -> value
 def _few_thick_planes() -> ClusterSettings:
     # The indirect textures show leaves off their plane, so planes may be few; compact ones have little empty space.
     return ClusterSettings(billboards=278, angle_weight=1.0, compactness=0.5)
+
+
+def _most_branches_sliced() -> TwigSettings:
+    # A branch on a slice costs nothing ([J00] 2.1), so the trunk beside the slices is for what is thick.
+    return TwigSettings(trunk_triangles=1000)
+
+
+def _thick_branches() -> TrunkSettings:
+    return TrunkSettings(triangles=1000)
 
 
 @dataclass(frozen=True)
@@ -48,6 +59,10 @@ class Settings:
     indirect_cluster: ClusterSettings = field(default_factory=_few_thick_planes)
     indirect: IndirectSettings = field(default_factory=IndirectSettings)
     trunk: TrunkSettings = field(default_factory=TrunkSettings)
+    slicing_twigs: TwigSettings = field(default_factory=_most_branches_sliced)
+    slicing_trunk: TrunkSettings = field(default_factory=_thick_branches)
+    slicings: SlicingSettings = field(default_factory=SlicingSettings)
+    views: ViewSettings = field(default_factory=ViewSettings)
     verify: VerifySettings = field(default_factory=VerifySettings)
 
 
@@ -64,7 +79,8 @@ class Key:
 def load_settings(paths: Sequence[Path] = (), overrides: Tables | None = None) -> Settings:
     """Merge TOML files, later ones over earlier ones, and `overrides` over all of them; so do the tables in settings.
 
-    trunk.triangles sets twigs.trunk_triangles too, which is the same budget, unless that is set itself.
+    trunk.triangles sets twigs.trunk_triangles too, which is the same budget, unless that is set itself; so does
+    slicing_trunk.triangles for slicing_twigs.
 
     Raises SettingsError, naming the file and the key, for a file that cannot be read, an unknown key (with the nearest
     known one) and a value of the wrong type or not finite.
@@ -73,8 +89,9 @@ def load_settings(paths: Sequence[Path] = (), overrides: Tables | None = None) -
     for origin, tables in [*((str(path), _read(path)) for path in paths), ("command line", overrides or {})]:
         _check(origin, tables)
         merged = _merge(merged, tables)
-    if budget := merged.get("trunk", {}).get("triangles"):  # it is the twigs' too, where they have none of their own
-        merged = _merge({"twigs": {"trunk_triangles": budget}}, merged)
+    for solid, sparse in (("trunk", "twigs"), ("slicing_trunk", "slicing_twigs")):
+        if budget := merged.get(solid, {}).get("triangles"):  # it is the twigs' too, where they have none of their own
+            merged = _merge({sparse: {"trunk_triangles": budget}}, merged)
     return msgspec.convert(_merge(msgspec.to_builtins(Settings()), merged), Settings)
 
 

@@ -83,5 +83,7 @@ def of_asset(folder: Path) -> Facts:
         "source_triangles": manifest.source.triangles,
         "levels": [{**asdict(level), "representations": "+".join(level.representations)} for level in manifest.levels],
         **({"indirect": asdict(manifest.indirect)} if manifest.indirect else {}),
+        **({"slicings": asdict(manifest.slicings)} if manifest.slicings else {}),
+        **({"views": {**asdict(manifest.views), "pictures": len(manifest.views.pictures)}} if manifest.views else {}),
         "textures": [{**asdict(image), "size": "x".join(map(str, image.size))} for image in manifest.textures],
     }

@@ -27,7 +27,22 @@ from treebake.files import atomic
 T = TypeVar("T")
 _PACKAGE = Path(__file__).parent
 # What every stage builds on, part of every version.
-_GROUND = ("model", "geometry", "flatten", "packing", "placements", "lookup", "images", "compression", "gl", "tubes")
+_GROUND = (
+    "model",
+    "geometry",
+    "flatten",
+    "packing",
+    "coverage",
+    "placements",
+    "lookup",
+    "images",
+    "compression",
+    "pictures",
+    "crossed",
+    "brightness",
+    "gl",
+    "tubes",
+)
 _DAMAGED = (OSError, KeyError, ValueError, TypeError, AttributeError, zipfile.BadZipFile)
 
 
@@ -49,6 +64,11 @@ class Result(Generic[T]):
     def of(cls, value: T) -> "Result[T]":
         """Wrap a value that is no stage's result. O(bytes)."""
         return cls(_Encoder.of(value).digest, lambda: value)
+
+    @classmethod
+    def together(cls, results: "Sequence[Result[Any]]") -> "Result[tuple[Any, ...]]":
+        """Several results as one, whose value is the tuple of theirs."""
+        return Result(_digest([result.digest for result in results]), lambda: tuple(each.value for each in results))
 
     @property
     def value(self) -> T:

@@ -2,7 +2,20 @@
 
 from treebake.asset.indirect import indirect_bytes, read_indirect
 from treebake.asset.manifest import Asset, Level, Manifest
+from treebake.asset.pictures import atlas_bytes, read_slicings, read_views
 from treebake.asset.read import read_asset
-from treebake.asset.write import write_asset
+from treebake.asset.write import write_asset, write_shared_views
 
-__all__ = ["Asset", "Level", "Manifest", "indirect_bytes", "read_asset", "read_indirect", "write_asset"]
+__all__ = [
+    "Asset",
+    "Level",
+    "Manifest",
+    "atlas_bytes",
+    "indirect_bytes",
+    "read_asset",
+    "read_indirect",
+    "read_slicings",
+    "read_views",
+    "write_asset",
+    "write_shared_views",
+]

@@ -1,19 +1,14 @@
-"""The indirect textures in a GLB: its root's `extras.treebake`.
+"""The indirect textures in a GLB: its root's `extras.treebake.indirect`."""
 
-FORMAT.md describes it, and the types here are its schema.
-"""
-
-import json
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import msgspec
 import numpy as np
 
+from treebake.asset.extras import Extras, IndirectExtras, read_extras
 from treebake.asset.manifest import FORMAT
 from treebake.compression import block_bytes
-from treebake.errors import AssetError, InputError
 from treebake.formats.gltf_file import GltfFile
 from treebake.glb import write_glb
 from treebake.lookup import LIST_BITS, ROW_BITS
@@ -28,57 +23,7 @@ TABLES = {  # name: values of one texel, texels of one row (0: of the image's ow
     "ambient": (4, 1 << ROW_BITS),
 }
 IMAGES = ("leaf_color", "leaf_normal", "far_color", "far_normal")
-_UNREADABLE = (
-    OSError,
-    InputError,
-    KeyError,
-    IndexError,
-    TypeError,
-    ValueError,
-    AttributeError,
-    OverflowError,
-    RecursionError,
-    msgspec.ValidationError,
-)
 _NUMBERS = {"billboards": "f4", "shapes": "f4", "hash_texture": "u4", "lists_texture": "u2", "placements": "u4"}
-
-
-Index = Annotated[int, msgspec.Meta(ge=0)]
-Count = Annotated[int, msgspec.Meta(ge=1)]
-Length = Annotated[float, msgspec.Meta(gt=0)]
-
-
-@dataclass(frozen=True)
-class IndirectExtras:
-    """Where the tables and images lie: accessors of the tables, glTF textures of the images."""
-
-    billboards: Index
-    shapes: Index
-    hash_texture: Index
-    hash_width: Count  # texels of a row of the hash texture
-    lists_texture: Index
-    placements: Index
-    ambient: Index
-    leaves: Count  # placements in use, twig pieces among them
-    largest: Length  # half the height of the largest leaf, in hash cells
-    leaf_color: Index
-    leaf_normal: Index
-    far_color: Index
-    far_normal: Index
-
-
-@dataclass(frozen=True)
-class Extras:
-    """The value of the root's `extras.treebake`."""
-
-    format: int
-    indirect: IndirectExtras
-
-
-def extras_schema() -> str:
-    """The JSON schema of `extras.treebake`, which is kept as `extras.schema.json` beside this file."""
-    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(Extras)}
-    return json.dumps(schema, indent=2) + "\n"
 
 
 def write_indirect(path: Path, nodes: list[tuple[str, Mesh]], textures: IndirectTextures) -> None:
@@ -96,23 +41,17 @@ def read_indirect(path: Path) -> IndirectTextures:
 
     Raises AssetError where they are missing, of an unknown format or damaged.
     """
-    try:
-        file = GltfFile(path)
-        content = file.json["extras"]["treebake"]
-        if content["format"] != FORMAT:
-            raise AssetError(
-                f"{path} is of format {content['format']}, and this treebake reads {FORMAT}; bake the tree again"
-            )
-        where = msgspec.convert(content, Extras).indirect
-        found: Any = {name: _table(file, where, name) for name in TABLES}
-        found |= {name: file.texture(getattr(where, name)) for name in IMAGES}
-        textures = IndirectTextures(**found, leaves=where.leaves, largest=where.largest)
-        damage = _damage(textures)
-    except _UNREADABLE as error:
-        raise AssetError(f"{path} holds no usable indirect textures ({error}); bake the tree again") from error
-    if damage:
-        raise AssetError(f"{path} is damaged: {damage}; bake the tree again")
-    return textures
+    return read_extras(path, "indirect textures", _read)
+
+
+def _read(file: GltfFile, extras: Extras) -> tuple[IndirectTextures, str]:
+    where = extras.indirect
+    if where is None:
+        raise ValueError("there are none")
+    found: Any = {name: _table(file, where, name) for name in TABLES}
+    found |= {name: file.texture(getattr(where, name)) for name in IMAGES}
+    textures = IndirectTextures(**found, leaves=where.leaves, largest=where.largest)
+    return textures, _damage(textures)
 
 
 def indirect_bytes(textures: IndirectTextures) -> int:

@@ -45,6 +45,47 @@ class Indirect:
 
 
 @dataclass(frozen=True)
+class SlicingsEntry:
+    """The slicings in `file`, beside standard cards and a trunk of `trunk_triangles`.
+
+    slicings: around the tree, and one seen from above. triangles: drawn for a tree. texels_kept: part of the slices'
+    texels that the atlas has room for. gpu_bytes: of what drawing looks up, block-compressed, with mips.
+    """
+
+    file: str
+    slicings: int
+    slices: int
+    triangles: int
+    trunk_triangles: int
+    texels_kept: float
+    gpu_bytes: int
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One layer of one view. azimuth, elevation: degrees, where it was taken from. uv: left, top, right, bottom in the
+    atlas, as texture coordinates.
+    """
+
+    azimuth: float
+    elevation: float
+    layer: int
+    uv: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class ViewsEntry:
+    """The view impostors in `file`, which may hold other trees' too. gpu_bytes: as for slicings, of the atlas."""
+
+    file: str
+    layout: str
+    layers: int
+    triangles: int
+    gpu_bytes: int
+    pictures: tuple[Picture, ...]
+
+
+@dataclass(frozen=True)
 class Image:
     """A loose copy of a texture, for engines. size: width and height in texels."""
 
@@ -63,7 +104,9 @@ class Manifest:
     source: Source
     levels: Annotated[tuple[Level, ...], msgspec.Meta(min_length=1)]
     textures: tuple[Image, ...]
-    indirect: Indirect | None = None  # where there is foliage
+    indirect: Indirect | None = None  # these three where there is foliage and they were baked
+    slicings: SlicingsEntry | None = None
+    views: ViewsEntry | None = None
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,8 @@ def read_asset(folder: Path) -> Asset:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise AssetError(f"{path} is damaged ({error}); bake the tree again") from error
     files = [level.file for level in manifest.levels] + [image.file for image in manifest.textures]
-    for file in [*files, *([manifest.indirect.file] if manifest.indirect else [])]:
+    further = [entry.file for entry in (manifest.indirect, manifest.slicings, manifest.views) if entry]
+    for file in files + further:
         if not (folder / file).is_file():
             raise AssetError(f"{folder / file} is named by the manifest and is missing; bake the tree again")
     return Asset(folder, manifest)

@@ -1,5 +1,6 @@
-"""Write a baked tree as files: NAME_LOD0.glb, NAME.glb, textures/ and manifest.json."""
+"""Write a baked tree as files: NAME_LOD0.glb, NAME.glb and the like, textures/ and manifest.json."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -7,18 +8,23 @@ import numpy as np
 
 from treebake import __version__
 from treebake.asset.indirect import IMAGES, TABLES, indirect_bytes, write_indirect
-from treebake.asset.manifest import FORMAT, Image, Indirect, Level, Manifest, Source
+from treebake.asset.manifest import FORMAT, Image, Indirect, Level, Manifest, Picture, SlicingsEntry, Source, ViewsEntry
+from treebake.asset.pictures import ATLAS, atlas_bytes, write_slicings, write_views
 from treebake.errors import WorkspaceError
 from treebake.files import atomic
 from treebake.glb import write_glb
 from treebake.images import encode_floats, encode_png, encode_texture
-from treebake.model import BakedTree, IndirectTextures, Mesh, Texture
+from treebake.model import BakedTree, Impostor, IndirectTextures, Mesh, PictureAtlas, SlicedFoliage, Texture, Views
+
+_CARD = 6  # triangles of a view's card
+_SHARED = "shared_views"
 
 
-def write_asset(tree: BakedTree, folder: Path) -> Manifest:
+def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Manifest:
     """Write every file of the asset into `folder`, each atomically, the manifest last.
 
-    Raises WorkspaceError where a file cannot be written, or where there is nothing to write.
+    shared: the file that `write_shared_views` wrote the tree's views into, relative to the folder; without it they get
+    a file of their own. Raises WorkspaceError where a file cannot be written, or where there is nothing to write.
     """
     parts = {"cloud": tree.cloud.mesh, "trunk": tree.trunk}
     nodes = [(name, mesh) for name, mesh in parts.items() if mesh.triangles]
@@ -27,7 +33,7 @@ def write_asset(tree: BakedTree, folder: Path) -> Manifest:
     level = folder / f"{tree.name}_LOD0.glb"
     write_glb(level, nodes)
     images = [_write_image(folder, tree.name, texture, space) for texture, space in _maps(tree.cloud.mesh)]
-    indirect = None
+    indirect = slicings = views = None
     if tree.indirect is not None:
         full = folder / f"{tree.name}.glb"
         write_indirect(full, nodes, tree.indirect)
@@ -38,6 +44,17 @@ def write_asset(tree: BakedTree, folder: Path) -> Manifest:
             leaves=tree.indirect.leaves,
             gpu_bytes=indirect_bytes(tree.indirect),
         )
+    if tree.slicings is not None:
+        path = folder / f"{tree.name}_slicings.glb"
+        write_slicings(path, tree.slicings)
+        images += _write_atlas(folder, tree.name, tree.slicings.slicings.atlas)
+        slicings = _slicings_entry(path.name, tree.slicings)
+    if tree.views is not None:
+        path = folder / (shared or f"{tree.name}_views.glb")
+        if shared is None:
+            write_views(path, [(tree.name, tree.views)])
+            images += _write_atlas(folder, tree.name, tree.views.views.atlas)
+        views = _views_entry((shared or Path(path.name)).as_posix(), tree.views.views)
     manifest = Manifest(
         format=FORMAT,
         generator=f"treebake {__version__}",
@@ -55,11 +72,57 @@ def write_asset(tree: BakedTree, folder: Path) -> Manifest:
             ),
         ),
         indirect=indirect,
+        slicings=slicings,
+        views=views,
         textures=tuple(images),
     )
     with atomic(folder / "manifest.json") as file:
         file.write(msgspec.json.format(msgspec.json.encode(manifest), indent=2) + b"\n")
     return manifest
+
+
+def write_shared_views(named: Sequence[tuple[str, Impostor]], out: Path) -> Path:
+    """Write the views of trees that share an atlas into OUT/shared_views, with the atlas as loose files beside.
+
+    Returns the GLB's path. Raises WorkspaceError.
+    """
+    folder = out / _SHARED
+    write_views(folder / f"{_SHARED}.glb", named)
+    _write_atlas(folder, "shared", named[0][1].views.atlas)
+    return folder / f"{_SHARED}.glb"
+
+
+def _slicings_entry(file: str, foliage: SlicedFoliage) -> SlicingsEntry:
+    slicings = foliage.slicings
+    return SlicingsEntry(
+        file=file,
+        slicings=slicings.orientations + slicings.above,
+        slices=slicings.count,
+        triangles=2 * 2 * slicings.count * ((slicings.slices.shape[1] - 3) // 2),
+        trunk_triangles=foliage.solid.triangles,
+        texels_kept=round(slicings.atlas.coverage.pixels[..., 0].size / slicings.untrimmed, 4),
+        gpu_bytes=atlas_bytes(slicings.atlas),
+    )
+
+
+def _views_entry(file: str, views: Views) -> ViewsEntry:
+    towards = views.pictures[:, 2, :3].astype(np.float64)
+    elevations = np.degrees(np.arcsin(np.clip(towards[:, 1], -1, 1)))
+    azimuths = np.degrees(np.arctan2(-views.pictures[:, 0, 2], views.pictures[:, 0, 0]))
+    corners = views.pictures[:, 4, [0, 3, 2, 1]].astype(np.float64)
+    return ViewsEntry(
+        file=file,
+        layout=views.layout,
+        layers=views.layers,
+        triangles=_CARD,
+        gpu_bytes=atlas_bytes(views.atlas),
+        pictures=tuple(
+            Picture(round(float(azimuth) % 360, 4), round(float(elevation), 4), number % views.layers, tuple(uv))
+            for number, (azimuth, elevation, uv) in enumerate(
+                zip(azimuths, elevations, corners.round(6).tolist(), strict=True)
+            )
+        ),
+    )
 
 
 def _maps(mesh: Mesh) -> list[tuple[Texture, str]]:
@@ -76,6 +139,10 @@ def _write_image(folder: Path, name: str, texture: Texture, space: str) -> Image
     with atomic(path) as file:
         file.write(encode_texture(texture, with_alpha=texture.has_alpha))
     return Image(path.relative_to(folder).as_posix(), (width, height), space)
+
+
+def _write_atlas(folder: Path, name: str, atlas: PictureAtlas) -> list[Image]:
+    return [_write_image(folder, name, getattr(atlas, image), space) for image, space in ATLAS.items()]
 
 
 def _write_indirect_images(folder: Path, name: str, textures: IndirectTextures) -> list[Image]:

@@ -7,10 +7,11 @@ import moderngl
 import numpy as np
 
 from treebake.gl.context import context, program
-from treebake.model import AlphaMode, Floats, Ints, Material, Texture
+from treebake.gl.film import Film
+from treebake.gl.textures import upload_plain
+from treebake.model import AlphaMode, Floats, Ints, Material
 
 _TILE = 512  # texels; with supersampling by 4 a tile needs 2048 x 2048 samples
-_SRGB8_ALPHA8 = 0x8C43
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,26 +45,15 @@ def bake_atlas(
     normal = np.empty((height, width, 4), np.float32)  # the depth last
     batches = [_upload(gl, triangles, index, materials[index]) for index in np.unique(triangles.material)]
     tile = min(_TILE, max(width, height))
-    images, samples = _target(gl, tile * supersample, "f2", depth=True)
-    averaged = _target(gl, tile, "f4", depth=False)[1]
-    average = gl.vertex_array(program("average"), [])
+    film = Film(gl, (tile, tile), supersample, count=2)
     for y in range(0, height, tile):
         for x in range(0, width, tile):
-            samples.use()
-            samples.clear()
-            gl.enable_only(moderngl.DEPTH_TEST)
+            film.expose()
             for batch in batches:
                 batch.draw((x, y, tile, tile))
-            averaged.use()
-            gl.enable_only(moderngl.NOTHING)
-            for unit, image in enumerate(images):
-                image.use(unit)
-            average.program["first"], average.program["second"] = 0, 1
-            average.program["factor"] = supersample
-            average.render(moderngl.TRIANGLES, vertices=3)
             rows, columns = min(tile, height - y), min(tile, width - x)
-            color[y : y + rows, x : x + columns] = _pixels(averaged, 0, tile)[:rows, :columns]
-            normal[y : y + rows, x : x + columns] = _pixels(averaged, 1, tile)[:rows, :columns]
+            for sheet, mean in zip((color, normal), film.develop(), strict=True):
+                sheet[y : y + rows, x : x + columns] = mean[:rows, :columns]
     return color, normal[..., :3], normal[..., 3]
 
 
@@ -95,25 +85,5 @@ def _upload(gl: moderngl.Context, triangles: FlatTriangles, index: int, material
     buffer = gl.buffer(np.ascontiguousarray(vertices, np.float32))
     layout = [(buffer, "3f 2f 3f", "in_position", "in_uv", "in_normal")]
     array = gl.vertex_array(program("bake"), layout)
-    color_map = _texture(gl, material.color_map, internal_format=_SRGB8_ALPHA8)
-    return _Batch(array, color_map, _texture(gl, material.normal_map), material)
-
-
-def _texture(gl: moderngl.Context, texture: Texture | None, **options: int) -> moderngl.Texture:
-    pixels = np.full((1, 1, 4), 255, np.uint8) if texture is None else texture.pixels
-    made = gl.texture((pixels.shape[1], pixels.shape[0]), 4, np.ascontiguousarray(pixels), **options)
-    made.filter = (moderngl.LINEAR, moderngl.LINEAR)
-    return made
-
-
-def _target(
-    gl: moderngl.Context, size: int, dtype: str, *, depth: bool
-) -> tuple[list[moderngl.Texture], moderngl.Framebuffer]:
-    images = [gl.texture((size, size), 4, dtype=dtype) for _ in range(2)]
-    buffer = gl.depth_renderbuffer((size, size)) if depth else None
-    return images, gl.framebuffer(images, buffer)
-
-
-def _pixels(target: moderngl.Framebuffer, attachment: int, size: int) -> Floats:
-    data = target.read(components=4, attachment=attachment, dtype="f4")
-    return np.frombuffer(data, np.float32).reshape(size, size, 4)
+    color_map = upload_plain(gl, material.color_map, srgb=True)
+    return _Batch(array, color_map, upload_plain(gl, material.normal_map, srgb=False), material)

@@ -19,13 +19,16 @@ import numpy as np
 from treebake.errors import GraphicsError
 from treebake.gl.context import context, program
 from treebake.gl.indirect import IndirectBillboards
+from treebake.gl.slicings import SlicingCards
 from treebake.gl.view import View, column_major
-from treebake.model import AlphaMode, Floats, IndirectTextures, Ints, Material, Mesh, Texture
+from treebake.gl.views import ViewCards
+from treebake.model import AlphaMode, Floats, IndirectTextures, Ints, Layers, Material, Mesh, Slicings, Texture, Views
 
 _SAMPLES = 4
 _RGBA8, _SRGB8_ALPHA8 = 0x8058, 0x8C43
 _INDEX_BYTES = 4
 _ALPHA_MODES = {AlphaMode.OPAQUE: 0, AlphaMode.MASK: 1, AlphaMode.BLEND: 2}
+_OVERLAYS = {IndirectTextures: IndirectBillboards, Slicings: SlicingCards, Views: ViewCards}
 _WHITE = Texture("white", np.full((1, 1, 4), 255, np.uint8))
 
 
@@ -49,12 +52,12 @@ def renderer() -> str:
 
 
 class Drawing:
-    """A mesh, and billboards with indirect textures, on the graphics card, to be drawn from many views until `close`.
+    """A mesh, and what belongs to it and has a shader of its own, on the graphics card, to be drawn until `close`.
 
     Raises GraphicsError where there is no OpenGL, or a texture is larger than the driver takes.
     """
 
-    def __init__(self, mesh: Mesh, indirect: IndirectTextures | None = None, *, exact_cutouts: bool = False) -> None:
+    def __init__(self, mesh: Mesh, layers: Layers | None = None, *, exact_cutouts: bool = False) -> None:
         self._gl = context()
         self._exact_cutouts = exact_cutouts
         self._owned: list[Any] = []  # in the order of making
@@ -70,10 +73,10 @@ class Drawing:
             if last > first
         ]
         self._parts = sorted(parts, key=lambda part: part.material.alpha_mode is AlphaMode.BLEND)
-        self._indirect: IndirectBillboards | None = None
+        self._overlay: IndirectBillboards | SlicingCards | ViewCards | None = None
         try:
-            if indirect is not None:
-                self._indirect = self._own(IndirectBillboards(self._gl, indirect))
+            if layers is not None:
+                self._overlay = self._own(_OVERLAYS[type(layers)](self._gl, layers))
             if self._parts:
                 self._upload(mesh)
         except Exception:
@@ -91,8 +94,8 @@ class Drawing:
             solid = sum(part.material.alpha_mode is not AlphaMode.BLEND for part in self._parts)
             for part in self._parts[:solid]:
                 self._draw(part, view, target.samples)
-            if self._indirect is not None:
-                self._indirect.draw(view)
+            if self._overlay is not None:
+                self._overlay.draw(view, target.samples)
             for part in self._parts[solid:]:
                 self._draw(part, view, target.samples)
         gl.copy_framebuffer(target.resolved, target.samples)
@@ -114,8 +117,8 @@ class Drawing:
                 self._cull(part.material)
                 self._counter["to_clip"] = column_major(view.to_clip)
                 self._count_array.render(vertices=3 * (part.last - part.first), first=3 * part.first)
-            if self._indirect is not None:
-                self._indirect.count(view)
+            if self._overlay is not None:
+                self._overlay.count(view)
         self._check()
         return float(_pixels(target.count, 0, 1).sum(dtype=np.float64))
 

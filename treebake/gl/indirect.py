@@ -1,19 +1,16 @@
 """Draws billboards of multi-layered indirect textures from their published tables, one box each ([GPSS07] 5)."""
 
-from typing import Any
-
 import moderngl
 import numpy as np
 
-from treebake.compression import compressed_mips
-from treebake.errors import GraphicsError
 from treebake.gl.context import program
+from treebake.gl.textures import upload_compressed, upload_table
 from treebake.gl.view import View, column_major
-from treebake.model import IndirectTextures, Texture
+from treebake.model import IndirectTextures
 
-_SRGB8_ALPHA8 = 0x8C43
 _DEPTH_CLAMP = 0x864F
 _CORNERS = 36  # vertices of a box
+_HINT = "bake fewer billboards or a greater [indirect] cell"
 
 # Width of a hash cell on screen in pixels: nothing is looked up at the first, everything from the second on.
 FADE = (0.5, 1.0)
@@ -33,14 +30,15 @@ class IndirectBillboards:
             "lists_texture": (textures.lists_texture[..., None], "u2"),
             "placements": (textures.placements, "u4"),
         }
-        self._textures = {name: self._table(*table) for name, table in tables.items()}
+        self._textures = {name: upload_table(gl, *table, _HINT) for name, table in tables.items()}
         for name in ("leaf_color", "leaf_normal", "far_color", "far_normal"):
-            self._textures[name] = self._image(getattr(textures, name), srgb=name.endswith("color"))
+            self._textures[name] = upload_compressed(gl, getattr(textures, name), _HINT, srgb=name.endswith("color"))
         self._counter = program("indirect_count")
         self._array, self._count_array = (gl.vertex_array(each, []) for each in (self._program, self._counter))
 
-    def draw(self, view: View) -> None:
-        """Draw all billboards into the framebuffer in use; depth is tested and written."""
+    def draw(self, view: View, onto: moderngl.Framebuffer) -> None:
+        """Draw all billboards into `onto`, the framebuffer in use; depth is tested and written."""
+        onto.depth_mask = True
         shader = self._program
         for unit, (name, texture) in enumerate(self._textures.items()):
             texture.use(unit)
@@ -74,31 +72,3 @@ class IndirectBillboards:
             texture.release()
         self._array.release()
         self._count_array.release()
-
-    def _check(self, width: int, height: int) -> None:
-        limit = self._gl.info["GL_MAX_TEXTURE_SIZE"]
-        if max(width, height) > limit:
-            raise GraphicsError(
-                f"the indirect textures need {width} x {height} texels, this OpenGL takes {limit}; bake fewer "
-                "billboards or a greater [indirect] cell"
-            )
-
-    def _table(self, values: Any, dtype: str) -> moderngl.Texture:
-        height, width, channels = values.shape
-        self._check(width, height)
-        table = self._gl.texture((width, height), channels, np.ascontiguousarray(values), dtype=dtype, alignment=1)
-        table.filter = moderngl.NEAREST, moderngl.NEAREST
-        return table
-
-    def _image(self, texture: Texture, *, srgb: bool) -> moderngl.Texture:
-        mips = compressed_mips(texture, srgb=srgb)
-        height, width = mips[0].shape[:2]
-        self._check(width, height)
-        options = {"internal_format": _SRGB8_ALPHA8} if srgb else {}
-        image = self._gl.texture((width, height), 4, np.ascontiguousarray(mips[0]), **options)
-        image.build_mipmaps(0, len(mips) - 1)
-        for level, pixels in enumerate(mips):
-            image.write(np.ascontiguousarray(pixels), level=level)
-        image.filter = moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR
-        image.repeat_x = image.repeat_y = False
-        return image

@@ -2,7 +2,9 @@
 
 from dataclasses import dataclass
 
-from treebake.model import Doubles
+import numpy as np
+
+from treebake.model import Doubles, Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,6 +19,59 @@ class View:
     size: int
     near: float
     far: float
+
+    @property
+    def eye(self) -> Doubles:
+        """(3,) float64, the viewer's place; of a parallel projection, which has none, one very far away."""
+        eye = np.linalg.inv(self.to_clip) @ [0.0, 0.0, -1.0, 0.0]
+        return np.asarray(eye[:3] / (eye[3] if abs(eye[3]) > 1e-12 else 1e-12))
+
+    @property
+    def focus(self) -> float:
+        """Pixels that a unit takes up at a depth of one."""
+        return float(self.size / 2 * np.linalg.norm(self.to_clip[1, :3]))
+
+
+def looking(turn: Doubles, eye: Doubles, scale: float, depths: tuple[float, float], size: int, shift: float) -> View:
+    """A perspective view from `eye`.
+
+    turn: (3, 3), rows right, up, towards the viewer. scale: of what lies at a depth of one, to half the picture.
+    depths: that it sees, near and far. size: pixels a side. shift: pixels by which the picture is moved to the right.
+    """
+    to_eye = np.eye(4)
+    to_eye[:3, :3] = turn
+    to_eye[:3, 3] = -turn @ eye
+    near, far = depths
+    to_clip = np.array(
+        [
+            [scale, 0.0, -2 * shift / size, 0.0],
+            [0.0, scale, 0.0, 0.0],
+            [0.0, 0.0, (near + far) / (near - far), 2 * near * far / (near - far)],
+            [0.0, 0.0, -1.0, 0.0],
+        ]
+    )
+    return View(to_clip @ to_eye, size, near, far)
+
+
+@dataclass(frozen=True, eq=False)
+class Grove:
+    """Where trees of one kind stand.
+
+    places: (n, 4) float32, the tree's origin in the world, and its scale. turns: (n,) float32, radians about +Y, from
+    +Z towards +X.
+    """
+
+    places: Floats
+    turns: Floats
+
+    def sorted_from(self, eye: Doubles) -> Floats:
+        """Instances for the shader, the farthest from `eye` first: (n, 6) float32."""
+        instances = np.column_stack([self.places, np.cos(self.turns), np.sin(self.turns)])
+        away = np.linalg.norm(self.places[:, :3] - eye, axis=1)
+        return np.asarray(instances[np.argsort(-away, kind="stable")], np.float32)
+
+
+ONE_TREE = Grove(np.array([[0, 0, 0, 1]], np.float32), np.zeros(1, np.float32))
 
 
 def column_major(matrix: Doubles) -> tuple[float, ...]:

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from treebake.errors import SettingsError
+from treebake.geometry import join
 from treebake.model import Doubles, Leaves, Longs, Mesh, Tree
 from treebake.tubes.find import Tubes, find_tubes
-from treebake.tubes.loft import join, loft
+from treebake.tubes.loft import loft
 from treebake.tubes.plan import Plan, cost, plan, ring_errors, solid_share
 
 _SIDES = 3  # of a piece; three sides are within 7 % of equally wide from everywhere, four within 18 %

@@ -66,24 +66,6 @@ def loft(mesh: Mesh, tubes: Tubes, chosen: Plan) -> tuple[Mesh, Longs]:
     return built, strand
 
 
-def join(first: Mesh, second: Mesh) -> Mesh:
-    """Both meshes in one; materials and nodes that they share stay shared."""
-    materials = first.materials + tuple(m for m in second.materials if m not in first.materials)
-    nodes = first.nodes + tuple(n for n in second.nodes if n not in first.nodes)
-    material = np.array([materials.index(m) for m in second.materials], np.int32)
-    node = np.array([nodes.index(n) for n in second.nodes], np.int32)
-    return Mesh(
-        positions=np.concatenate([first.positions, second.positions]),
-        normals=np.concatenate([first.normals, second.normals]),
-        uvs=np.concatenate([first.uvs, second.uvs]),
-        faces=np.concatenate([first.faces, second.faces + np.int32(len(first.positions))]),
-        face_material=np.concatenate([first.face_material, material[second.face_material]]),
-        face_node=np.concatenate([first.face_node, node[second.face_node]]),
-        materials=materials,
-        nodes=nodes,
-    )
-
-
 def _sample(rings: Rings, ring: Longs, fraction: Doubles) -> tuple[Doubles, Doubles, Doubles]:
     """Position, normal and texture coordinates at a fraction of a ring's perimeter, blended between its samples.
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from treebake.gl.view import View
+from treebake.geometry import turn_to
+from treebake.gl.view import View, looking
 from treebake.model import Doubles, Mesh
 
 FIELD_OF_VIEW = 35.0  # degrees that the bounding sphere fills, from edge to edge
@@ -33,13 +34,13 @@ class Camera:
 
         The picture is moved to the right by `shift` pixels through the projection; the camera stays where it is.
         """
-        turn = _turn(self.elevation, self.azimuth)
+        turn = turn_to(self.elevation, self.azimuth)
         distance = self.radius / math.sin(math.radians(FIELD_OF_VIEW / 2))
         size = height + MARGIN
         scale = height / size / math.tan(math.radians(FIELD_OF_VIEW / 2))
         # A candidate may be wider than the source's sphere; twice as wide is still seen whole.
         near, far = distance - 2 * self.radius, distance + 2 * self.radius
-        return _view(turn, self.center + distance * turn[2], scale, (near, far), size, shift)
+        return looking(turn, self.center + distance * turn[2], scale, (near, far), size, shift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,35 +59,11 @@ class CloseUp:
 
     def view(self, height: int = CLOSE_UP, shift: float = 0.0) -> View:
         """The square window of `height` pixels in which a leaf at the edge is CLOSE_LEAF pixels long."""
-        turn = _turn(self.elevation, self.azimuth)
+        turn = turn_to(self.elevation, self.azimuth)
         scale = 1 / math.tan(math.radians(FIELD_OF_VIEW / 2))
         distance = height / 2 * scale * self.leaf / CLOSE_LEAF
         eye = self.edge + distance * turn[2]
-        return _view(turn, eye, scale, (distance / 8, distance + self.depth), height, shift)
-
-
-def _turn(elevation: float, azimuth: float) -> Doubles:
-    """The world's axes in the eye's: rows right, up, back."""
-    up, around = math.radians(elevation), math.radians(azimuth)
-    back = np.array([math.cos(up) * math.sin(around), math.sin(up), math.cos(up) * math.cos(around)])
-    right = np.array([math.cos(around), 0.0, -math.sin(around)])  # level, and defined straight from above too
-    return np.stack([right, np.cross(back, right), back])
-
-
-def _view(turn: Doubles, eye: Doubles, scale: float, depths: tuple[float, float], size: int, shift: float) -> View:
-    to_eye = np.eye(4)
-    to_eye[:3, :3] = turn
-    to_eye[:3, 3] = -turn @ eye
-    near, far = depths
-    to_clip = np.array(
-        [
-            [scale, 0.0, -2 * shift / size, 0.0],
-            [0.0, scale, 0.0, 0.0],
-            [0.0, 0.0, (near + far) / (near - far), 2 * near * far / (near - far)],
-            [0.0, 0.0, -1.0, 0.0],
-        ]
-    )
-    return View(to_clip @ to_eye, size, near, far)
+        return looking(turn, eye, scale, (distance / 8, distance + self.depth), height, shift)
 
 
 def cameras(mesh: Mesh, elevations: Sequence[float], azimuths: int) -> tuple[Camera, ...]:
@@ -115,7 +92,7 @@ def close_ups(foliage: Mesh, leaf: float, elevations: Sequence[float], azimuths:
     found = []
     for elevation in elevations:
         for azimuth in 360.0 * np.arange(azimuths) / azimuths:
-            right, up, back = _turn(elevation, azimuth)
+            right, up, back = turn_to(elevation, azimuth)
             aside = np.hypot((points - center) @ right, (points - center) @ up)
             middle = points[aside <= max(2 * leaf, float(aside.min()))]
             edge = center + back * float(((middle - center) @ back).max())

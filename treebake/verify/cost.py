@@ -4,18 +4,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from treebake.asset import indirect_bytes
+from treebake.asset import atlas_bytes, indirect_bytes
 from treebake.compression import block_bytes
-from treebake.model import IndirectTextures, Mesh, Texture
+from treebake.model import IndirectTextures, Layers, Mesh, Slicings, Texture
 
 _BOX = 12  # triangles of a thick billboard
+_CARD = 6  # of a view impostor
 _BLOCK = 16  # bytes of 4 x 4 texels: BC3, BC5 or BC7
 
 
 @dataclass(frozen=True)
 class Cost:
     """gpu_bytes: each used texture once, block-compressed to a byte a texel, with its mipmaps; 32 bytes a vertex and 4
-    an index; of indirect textures, tables as they are and images as above.
+    an index; of layers, tables as they are and images block-compressed too.
     """
 
     triangles: int
@@ -23,15 +24,23 @@ class Cost:
     gpu_bytes: int
 
 
-def cost_of(mesh: Mesh, indirect: IndirectTextures | None = None) -> Cost:
-    """Count what has to be kept and drawn: a draw call for each material of each node, and one for all billboards."""
+def cost_of(mesh: Mesh, layers: Layers | None = None) -> Cost:
+    """Count what has to be kept and drawn: a draw call for each material of each node, and one for the layers.
+
+    Of slicings, two are drawn at a time; a third one from above only.
+    """
     calls = len(np.unique(np.stack([mesh.face_node, mesh.face_material]), axis=1).T)
     vertices = 32 * len(mesh.positions) + 4 * mesh.faces.size
     cost = Cost(mesh.triangles, calls, vertices + sum(map(_bytes, _textures_of(mesh))))
-    if indirect is None:
+    if layers is None:
         return cost
-    boxes = _BOX * len(indirect.billboards)
-    return Cost(cost.triangles + boxes, cost.draw_calls + 1, cost.gpu_bytes + indirect_bytes(indirect))
+    if isinstance(layers, IndirectTextures):
+        triangles, size = _BOX * len(layers.billboards), indirect_bytes(layers)
+    elif isinstance(layers, Slicings):
+        triangles, size = 2 * 2 * layers.count * ((layers.slices.shape[1] - 3) // 2), atlas_bytes(layers.atlas)
+    else:
+        triangles, size = _CARD, atlas_bytes(layers.atlas)
+    return Cost(cost.triangles + triangles, cost.draw_calls + 1, cost.gpu_bytes + size)
 
 
 def _bytes(texture: Texture) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 from treebake.errors import MeshError, SettingsError
 from treebake.gl.draw import Drawing, Picture, renderer
 from treebake.images import flip_error
-from treebake.model import Doubles, Floats, IndirectTextures, Mesh
+from treebake.model import Doubles, Floats, Layers, Mesh
 from treebake.verify.cameras import CLOSE_UP, Camera, CloseUp, cameras
 from treebake.verify.cost import Cost, cost_of
 from treebake.verify.figures import Figures, summed_up
@@ -22,8 +22,14 @@ from treebake.verify.thresholds import CLOSE, failures, parse
 
 LOG = logging.getLogger("treebake")
 
-REPRESENTATIONS = ("cloud", "cloud_same_bytes", "indirect")
-JUDGED = ("cloud", "indirect", "candidate")  # by the thresholds; the others are there to compare with
+REPRESENTATIONS = ("cloud", "cloud_same_bytes", "indirect", "slicings", "views")
+JUDGED = (
+    "cloud",
+    "indirect",
+    "slicings",
+    "views",
+    "candidate",
+)  # by the thresholds; the others are there to compare with
 _QUICK_HEIGHT = 256
 
 
@@ -35,7 +41,8 @@ class VerifySettings:
     elevations: tuple[float, ...] = (0.0, 25.0, 60.0)  # degrees above the horizon, -90 to 90
     azimuths: int = 8  # evenly spaced views around the tree at each elevation, 1 or more
     quick: bool = False  # only a third of the views, only at 256 pixels, and not close up
-    representations: tuple[str, ...] = ()  # of an asset: "cloud", "cloud_same_bytes", "indirect"; none given: all
+    representations: tuple[str, ...] = ()  # of an asset: "cloud", "cloud_same_bytes", "indirect", "slicings",
+    # "views"; none given: all
     thresholds: dict[str, float | dict[str, float]] = field(default_factory=dict)
     # bounds on the candidate's figures: a figure's name, with _min or _max (default), to a value, or to one per height,
     # e.g. { flip_ratio = { 512 = 1.2, close = 1.0 }, coverage_min = 0.98 }
@@ -90,16 +97,16 @@ def verify(
     settings: VerifySettings | None = None,
     cache: Path | None = None,
     *,
-    indirect: IndirectTextures | None = None,
+    layers: Layers | None = None,
     trunk: Mesh | None = None,
     close: Sequence[CloseUp] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Report:
     """Measure how a candidate differs from its source, both drawn as a stock glTF client draws them.
 
-    candidate: one mesh, or one for each height; the greatest one's is looked at close up. indirect: billboards that
-    belong to the candidate, drawn by their own shader. close: from where to look close up. cache: a folder where the
-    source's pictures and floors are kept, so that only the candidate is drawn the next time. trunk: the part of the
+    candidate: one mesh, or one for each height; the greatest one's is looked at close up. layers: what belongs to the
+    candidate and is drawn by its own shader. close: from where to look close up. cache: a folder where the source's
+     pictures and floors are kept, so that only the candidate is drawn the next time. trunk: the part of the
     source that is not foliage; without it, foliage_coverage is of the whole tree. progress: called with the views done
     and to do, from any thread, one call at a time. O(heights x views x (faces + pixels)).
 
@@ -115,7 +122,7 @@ def verify(
     tally = _Tally(2 * (len(heights) * len(directions) + len(close)), progress)
 
     def level(mesh: Mesh, views: Sequence[Camera | CloseUp], height: int) -> Level:
-        return _level(source, trunk, mesh, indirect, views, height, cache, tally)
+        return _level(source, trunk, mesh, layers, views, height, cache, tally)
 
     levels = tuple(level(candidates[height], directions, height) for height in heights)
     close_up = level(candidates[heights[0]], close, CLOSE_UP) if close else None
@@ -174,7 +181,7 @@ def _level(
     source: Mesh,
     trunk: Mesh | None,
     candidate: Mesh,
-    indirect: IndirectTextures | None,
+    layers: Layers | None,
     directions: Sequence[Camera | CloseUp],
     height: int,
     cache: Path | None,
@@ -188,7 +195,7 @@ def _level(
         scored(1)
         return result
 
-    with closing(Drawing(candidate, indirect)) as drawing:
+    with closing(Drawing(candidate, layers)) as drawing:
         scores = score_all(judge, range(len(views)), map(drawing.picture, views))
         fragments = np.array([drawing.fragments(view) for view in views])
         samples = tuple(
@@ -201,7 +208,7 @@ def _level(
 
     return Level(
         height=height,
-        candidate=figures(scores, cost_of(candidate, indirect), fragments),
+        candidate=figures(scores, cost_of(candidate, layers), fragments),
         floor_half=figures(known.floor_half, cost_of(source), known.fragments, SCALE),
         floor_one=figures(known.floor_one, cost_of(source), known.fragments),
         empty=figures(known.empty, Cost(0, 0, 0), np.zeros(len(views)), SCALE),

@@ -1,44 +1,67 @@
 """What a published asset can be drawn as."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from pathlib import Path
 
 import numpy as np
 
-from treebake.asset import Asset, indirect_bytes, read_indirect
+from treebake.asset import Asset, indirect_bytes, read_indirect, read_slicings, read_views
 from treebake.errors import SettingsError
 from treebake.meshes import read_mesh
-from treebake.model import IndirectTextures, Mesh
+from treebake.model import Layers, Mesh
 from treebake.verify.protocol import REPRESENTATIONS, VerifySettings
 from treebake.verify.same_bytes import with_texture_bytes
 
-Drawn = tuple[dict[int, Mesh], IndirectTextures | None]
+Drawn = tuple[dict[int, Mesh], Layers | None]
 
 
 def representations(asset: Asset, heights: Collection[int], settings: VerifySettings) -> dict[str, Drawn]:
-    """The representations of an asset that the settings ask for, by name: the mesh for each height, and billboards.
+    """The representations of an asset that the settings ask for, by name: the mesh for each height, and layers.
 
     Raises AssetError where a file is damaged, and SettingsError where the asset has nothing of what is asked for.
     """
-    there = REPRESENTATIONS if asset.manifest.indirect else ("cloud",)
+    entries, folder = asset.manifest, asset.folder
+    makers: dict[str, Callable[[], Drawn]] = {"cloud": lambda: (_cloud(asset, heights, None), None)}
+    if entries.indirect:
+        full = folder / entries.indirect.file
+        makers["cloud_same_bytes"] = lambda: (_cloud(asset, heights, indirect_bytes(read_indirect(full))), None)
+        makers["indirect"] = lambda: (_without(full, "cloud", heights), read_indirect(full))
+    if entries.slicings:
+        sliced = folder / entries.slicings.file
+        makers["slicings"] = lambda: (_without(sliced, "slices", heights), read_slicings(sliced))
+    if views := entries.views:
+        makers["views"] = lambda: (dict.fromkeys(heights, _NOTHING), read_views(folder / views.file, entries.name))
     asked = settings.representations or REPRESENTATIONS
-    wanted = [name for name in there if name in asked]
+    wanted = [name for name in makers if name in asked]
     if not wanted:
         raise SettingsError(
-            f"{asset.folder} has no {' or '.join(asked)}, only {', '.join(there)}; change verify.representations"
+            f"{folder} has no {' or '.join(asked)}, only {', '.join(makers)}; change verify.representations"
         )
+    return {name: makers[name]() for name in wanted}
+
+
+def _cloud(asset: Asset, heights: Collection[int], limit: int | None) -> dict[int, Mesh]:
+    """The level for each height, with its textures cut to so many bytes."""
     levels = {path: read_mesh(path) for path in asset.level_paths}
-    cloud = {height: levels[asset.level_for(height)] for height in heights}
-    found: dict[str, Drawn] = {"cloud": (cloud, None)}
-    if asset.manifest.indirect and wanted != ["cloud"]:
-        full = asset.folder / asset.manifest.indirect.file
-        layers, mesh = read_indirect(full), read_mesh(full)
-        limit = indirect_bytes(layers)
-        smaller = {path: with_texture_bytes(level, limit) for path, level in levels.items()}
-        found["cloud_same_bytes"] = {height: smaller[asset.level_for(height)] for height in heights}, None
-        found["indirect"] = dict.fromkeys(heights, mesh.select(_is_trunk(mesh))), layers
-    return {name: found[name] for name in wanted}
+    if limit is not None:
+        levels = {path: with_texture_bytes(level, limit) for path, level in levels.items()}
+    return {height: levels[asset.level_for(height)] for height in heights}
 
 
-def _is_trunk(mesh: Mesh) -> np.ndarray:
-    cloud = [index for index, node in enumerate(mesh.nodes) if node == "cloud"]
-    return ~np.isin(mesh.face_node, cloud)
+def _without(path: Path, node: str, heights: Collection[int]) -> dict[int, Mesh]:
+    """What a file shows beside the node that layers take the place of."""
+    mesh = read_mesh(path)
+    replaced = [index for index, name in enumerate(mesh.nodes) if name == node]
+    return dict.fromkeys(heights, mesh.select(~np.isin(mesh.face_node, replaced)))
+
+
+_NOTHING = Mesh(
+    positions=np.zeros((0, 3), np.float32),
+    normals=np.zeros((0, 3), np.float32),
+    uvs=np.zeros((0, 2), np.float32),
+    faces=np.zeros((0, 3), np.int32),
+    face_material=np.zeros(0, np.int32),
+    face_node=np.zeros(0, np.int32),
+    materials=(),
+    nodes=(),
+)

@@ -25,25 +25,16 @@ uniform sampler2D color_map;
 uniform sampler2D normal_map;
 uniform bool has_normal_map;
 uniform vec4 base_color;
-uniform float alpha_cutoff;  // 0 where the material is opaque
-uniform bool blend;  // alpha is a share: it decides how many of a texel's samples are covered
 layout(location = 0) out vec4 out_color;
 layout(location = 1) out vec4 out_normal;  // with the depth in place of alpha
 
 #include "normal_map.glsl"
-
-// The 4x4 ordered dither: as many of 16 neighbouring samples lie below a share as the share says.
-const float BAYER[16] = float[](0., 8., 2., 10., 12., 4., 14., 6., 3., 11., 1., 9., 15., 7., 13., 5.);
-
-float dither() {
-    ivec2 cell = ivec2(gl_FragCoord.xy) & 3;
-    return (BAYER[cell.y * 4 + cell.x] + 0.5) / 16.0;
-}
+#include "cutout.glsl"
 
 void main() {
     // Unfiltered, as if the leaf were modelled: mips thin what is cut out and mix in what lies under it.
     vec4 color = textureLod(color_map, uv, 0.0) * base_color;
-    if (color.a < (blend ? dither() : alpha_cutoff)) discard;
+    if (cut_out(color.a)) discard;
     // Rows run downwards in the atlas and upwards in GL's window, which turns every winding round.
     float side = gl_FrontFacing ? -1.0 : 1.0;
     float length_ = length(normal);  // 0 where the corners' normals cancel each other

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from treebake.coverage import preserve_coverage
 from treebake.errors import SettingsError
 from treebake.flatten import FlatLeaves, flatten, plane_frames
 from treebake.gl.bake import FlatTriangles, bake_atlas
@@ -24,7 +25,6 @@ from treebake.model import (
 )
 from treebake.packing import pack, texel_sizes
 from treebake.stages.billboards.cards import Cards, cut_cards
-from treebake.stages.billboards.coverage import preserve_coverage
 from treebake.stages.billboards.silhouette import covered_area
 
 LOG = logging.getLogger("treebake")

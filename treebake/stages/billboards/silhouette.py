@@ -4,6 +4,7 @@ from contextlib import closing
 
 import numpy as np
 
+from treebake.geometry import turn_to
 from treebake.gl.draw import Drawing
 from treebake.gl.view import View
 from treebake.model import Doubles, Mesh
@@ -31,10 +32,7 @@ def covered_area(mesh: Mesh, bounds: Mesh, *, exact: bool) -> float:
 
 def _parallel(center: Doubles, radius: float, elevation: float, azimuth: float) -> Doubles:
     """Parallel projection of a sphere onto the whole picture, from a direction in degrees: (4, 4) float64."""
-    up, around = np.radians([elevation, azimuth])
-    back = np.array([np.cos(up) * np.sin(around), np.sin(up), np.cos(up) * np.cos(around)])
-    right = np.array([np.cos(around), 0.0, -np.sin(around)])
-    turn = np.stack([right, np.cross(back, right), -back]) / radius
+    turn = turn_to(elevation, azimuth) * np.array([[1.0], [1.0], [-1.0]]) / radius
     to_clip = np.eye(4)
     to_clip[:3, :3] = turn
     to_clip[:3, 3] = -turn @ center

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from treebake.errors import SettingsError
+from treebake.geometry import join
 from treebake.model import Mesh
 from treebake.stages.trunk.decimate import decimate
 from treebake.tubes.find import Tubes, find_tubes
-from treebake.tubes.loft import join, loft
+from treebake.tubes.loft import loft
 from treebake.tubes.plan import Plan, cost, keep_area, plan, ring_errors, solid_share
 
 _ROUNDS = 60  # bisections of the tolerance

@@ -1,0 +1,144 @@
+"""The root's `extras.treebake` of a GLB. FORMAT.md describes it, and the types here are its schema."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import msgspec
+
+from treebake.asset.manifest import FORMAT
+from treebake.errors import AssetError, InputError
+from treebake.formats.gltf_file import GltfFile
+
+T = TypeVar("T")
+
+Index = Annotated[int, msgspec.Meta(ge=0)]
+Count = Annotated[int, msgspec.Meta(ge=1)]
+Length = Annotated[float, msgspec.Meta(gt=0)]
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class IndirectExtras:
+    """Where the tables and images lie: accessors of the tables, glTF textures of the images."""
+
+    billboards: Index
+    shapes: Index
+    hash_texture: Index
+    hash_width: Count  # texels of a row of the hash texture
+    lists_texture: Index
+    placements: Index
+    ambient: Index
+    leaves: Count  # placements in use, twig pieces among them
+    largest: Length  # half the height of the largest leaf, in hash cells
+    leaf_color: Index
+    leaf_normal: Index
+    far_color: Index
+    far_normal: Index
+
+
+@dataclass(frozen=True)
+class AtlasExtras:
+    """glTF textures of an atlas of pictures."""
+
+    coverage: Index
+    lit: Index
+    albedo: Index
+    relief: Index
+    mips: Index  # of the coverage, below its first one, that show no picture's neighbours
+
+
+@dataclass(frozen=True)
+class SlicingsExtras:
+    """Slicings: an accessor of the slices' table, and how they are drawn."""
+
+    atlas: AtlasExtras
+    slices: Index
+    rectangles: Count  # of a slice
+    orientations: Count
+    count: Count  # slices of a slicing
+    center: Point
+    height: Length
+    above: bool
+    far_row: Index
+    far_height: float
+    dropped: Index
+    brightness: float
+    exposure: Length
+    untrimmed: Count
+
+
+@dataclass(frozen=True)
+class TreeViewsExtras:
+    """The views of one tree: accessors of the pictures' table and of the support, and how they are drawn."""
+
+    name: str
+    pictures: Index
+    layout: str  # "ring" or "hemi"
+    side: Count
+    layers: Count
+    center: Point
+    radius: Length
+    support: Index
+    brightness: float
+    exposure: Length
+
+
+@dataclass(frozen=True)
+class ViewsExtras:
+    """View impostors of the trees that share an atlas."""
+
+    atlas: AtlasExtras
+    trees: Annotated[tuple[TreeViewsExtras, ...], msgspec.Meta(min_length=1)]
+
+
+@dataclass(frozen=True)
+class Extras:
+    """The value of the root's `extras.treebake`: what else the file holds."""
+
+    format: int
+    indirect: IndirectExtras | None = None
+    slicings: SlicingsExtras | None = None
+    views: ViewsExtras | None = None
+
+
+_UNREADABLE = (
+    OSError,
+    InputError,
+    KeyError,
+    IndexError,
+    TypeError,
+    ValueError,
+    AttributeError,
+    OverflowError,
+    RecursionError,
+    msgspec.ValidationError,
+)
+
+
+def extras_schema() -> str:
+    """The JSON schema of `extras.treebake`, which is kept as `extras.schema.json` beside this file."""
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(Extras)}
+    return json.dumps(schema, indent=2) + "\n"
+
+
+def read_extras(path: Path, what: str, read: Callable[[GltfFile, Extras], tuple[T, str]]) -> T:
+    """Open a GLB and let `read` take something from it and say what is wrong with it, or nothing.
+
+    what: for the messages. Raises AssetError where it is missing, of an unknown format or damaged.
+    """
+    try:
+        file = GltfFile(path)
+        content = file.json["extras"]["treebake"]
+        if content["format"] != FORMAT:
+            raise AssetError(
+                f"{path} is of format {content['format']}, and this treebake reads {FORMAT}; bake the tree again"
+            )
+        value, damage = read(file, msgspec.convert(content, Extras))
+    except _UNREADABLE as error:
+        raise AssetError(f"{path} holds no usable {what} ({error}); bake the tree again") from error
+    if damage:
+        raise AssetError(f"{path} is damaged: {damage}; bake the tree again")
+    return value

@@ -1,0 +1,54 @@
+// Looks into one picture of an atlas as if what it shows lay where it was when the picture was taken: the view ray is
+// followed through the picture's depth in steps, as if every picture were a stack of thinner ones.
+
+uniform sampler2D coverage;
+uniform sampler2D lit;     // half as wide and high, as is the next
+uniform sampler2D relief;  // slopes of the surface in RG, depth in B
+
+const float STEEPEST = 4.0;  // slopes run from -STEEPEST to STEEPEST
+
+struct Picture {
+    vec4 bounds;  // left, bottom, right, top, in the picture's frame
+    vec4 texels;  // texture coordinates at (left, bottom) and (right, top)
+    vec2 range;   // depths towards the viewer that 0 and 1 stand for; the greater first in a picture seen from behind
+};
+
+// Colour premultiplied by coverage, of the ray that meets depth 0 at `place` and moves by `way` for each unit towards the
+// viewer. lod: mip of the coverage. height: mean depth of what is seen.
+vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out float height) {
+    vec2 scale = (picture.texels.zw - picture.texels.xy) / (picture.bounds.zw - picture.bounds.xy);
+    vec2 origin = picture.texels.xy - picture.bounds.xy * scale;
+    float half_lod = max(lod - 1.0, 0.0);
+    float nearest = max(picture.range.x, picture.range.y);
+    float thick = abs(picture.range.y - picture.range.x) / float(steps);
+    float left = 1.0;  // of the ray's light
+    height = 0.0;
+    for (int i = 0; i < steps; ++i) {
+        float depth = steps == 1 ? 0.0 : nearest - (float(i) + 0.5) * thick;
+        vec2 at = place + way * depth;
+        vec2 uv = origin + at * scale;
+        float there = mix(picture.range.x, picture.range.y, textureLod(relief, uv, half_lod).b);
+        float part = textureLod(coverage, uv, lod).r;
+        // A depth between two steps belongs to both in parts, which add up to one.
+        part *= steps == 1 ? 1.0 : max(1.0 - abs(there - depth) / thick, 0.0);
+        part = at == clamp(at, picture.bounds.xy, picture.bounds.zw) ? min(part, left) : 0.0;
+        left -= part;
+        height += part * there;
+    }
+    float sum = 1.0 - left;
+    height /= max(sum, 1e-6);
+    vec2 uv = origin + (place + way * (steps == 1 ? 0.0 : height)) * scale;
+    vec3 color = textureLod(lit, uv, half_lod).rgb;
+    // A surface turned to the viewer covers more than it did in the picture, one turned away less.
+    vec2 slope = (textureLod(relief, uv, half_lod).rg * 2.0 - 1.0) * STEEPEST;
+    if (picture.range.x > picture.range.y) slope.y = -slope.y;
+    float turned = abs(dot(vec3(slope, 1.0), normalize(vec3(way, 1.0))));
+    sum = 1.0 - pow(1.0 - sum, turned);
+    return sum * vec4(color, 1.0);
+}
+
+// The mip of the coverage where a pixel is as wide as dx and dy.
+float lod_of(Picture picture, vec2 dx, vec2 dy) {
+    vec2 texels = (picture.texels.zw - picture.texels.xy) / (picture.bounds.zw - picture.bounds.xy) * vec2(textureSize(coverage, 0));
+    return max(0.5 * log2(max(dot(dx * texels, dx * texels), dot(dy * texels, dy * texels))), 0.0);
+}

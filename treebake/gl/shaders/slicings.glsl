@@ -1,0 +1,34 @@
+// Draws slicings: looks into each slice, and blends it over what lies behind it ([J00] 2.3).
+#include "slicings_quads.glsl"
+
+#ifdef FRAGMENT_STAGE
+uniform float exposure;  // of the lit colours
+uniform mat4 to_clip;
+
+flat in vec4 bounds;
+flat in vec4 texels;
+flat in vec2 range;
+flat in vec3 viewer;
+flat in float opacity;
+flat in int steps;
+flat in mat3 frame;
+flat in vec3 origin;
+in vec2 place;
+
+layout(location = 0) out vec4 color;
+layout(location = 1) out vec4 depth;
+
+#include "relief.glsl"
+
+void main() {
+    float height;
+    vec2 way = (viewer.xy - place) / viewer.z;
+    Picture picture = Picture(bounds, texels, range);
+    vec4 found = look_into(picture, place, way, lod_of(picture, dFdx(place), dFdy(place)), steps, height);
+    if (found.a == 0.0) discard;
+    vec4 clip = to_clip * vec4(origin + frame * vec3(place + way * height, height), 1.0);
+    gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;
+    color = vec4(found.rgb * exposure, found.a) * opacity;
+    depth = vec4(clip.w * color.a, 0.0, 0.0, color.a);
+}
+#endif

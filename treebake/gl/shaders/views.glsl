@@ -1,0 +1,78 @@
+// Draws view impostors: looks into the views nearest the viewer and blends what it finds, cross-faded ([I11]).
+#include "views_card.glsl"
+
+#ifdef FRAGMENT_STAGE
+uniform mat4 to_clip;
+uniform bool hemi;
+uniform int layers;         // of a view, one behind the other
+uniform float brightness;   // m of the correction 1 + m alpha_s, as for slicings
+uniform float exposure;     // of the lit colours
+uniform sampler2D pictures;
+
+flat in ivec3 chosen;
+flat in vec3 shares;
+flat in vec3 viewer;
+flat in float pixels;
+flat in mat3 axes;
+flat in vec3 middle;
+in vec3 point;
+
+layout(location = 0) out vec4 color;
+layout(location = 1) out vec4 depth;
+
+#include "relief.glsl"
+
+const float OBLIQUE = 1.0;  // tangent of the angle to a view beyond which it is shown as from there
+const int MOST_STEPS = 8;
+const float STEP = 1.5;     // pixels that a step through a picture may shift what is seen
+
+vec4 entry(int column, int row) {
+    return texelFetch(pictures, ivec2(column, row), 0);
+}
+
+// Colour premultiplied by coverage of what one view shows. seen: mean place of it, premultiplied likewise.
+vec4 look_at(int view, out vec3 seen) {
+    int row = view * layers;
+    mat3 frame = mat3(entry(0, row).xyz, entry(1, row).xyz, entry(2, row).xyz);
+    vec3 from = viewer * frame;
+    vec3 at = point * frame;
+    vec2 way = (from.xy - at.xy) / max(from.z - at.z, 1e-3 * length(from));
+    way *= min(1.0, OBLIQUE / max(length(way), 1e-6));
+    vec2 place = at.xy - way * at.z;
+    vec2 dx = dFdx(place);
+    vec2 dy = dFdy(place);
+    vec4 sum = vec4(0.0);
+    seen = vec3(0.0);
+    for (int end = row + layers; row < end; ++row) {
+        Picture picture = Picture(entry(3, row), entry(4, row), vec2(entry(1, row).w, entry(2, row).w));
+        float shift = (picture.range.y - picture.range.x) * length(way) * pixels;
+        float height;
+        int steps = clamp(int(ceil(shift / STEP)), 2, MOST_STEPS);
+        vec4 found = (1.0 - sum.a) * look_into(picture, place, way, lod_of(picture, dx, dy), steps, height);
+        sum += found;
+        seen += found.a * (frame * vec3(place + way * height, height));
+    }
+    return sum;
+}
+
+void main() {
+    float correction = 1.0 + brightness * (1.0 - max(shares.x, max(shares.y, shares.z)));
+    vec4 sum = vec4(0.0);
+    vec3 place = vec3(0.0);
+    float through = 1.0;
+    for (int i = 0; i < (hemi ? 3 : 2); ++i) {
+        vec3 seen;
+        float opacity = min(correction * shares[i], 1.0);
+        vec4 found = opacity * look_at(chosen[i], seen);
+        sum += found;
+        place += opacity * seen;
+        through *= 1.0 - found.a;
+    }
+    if (sum.a < 1.0 / 255.0) discard;
+    // Views show the same tree, so neither is in front: they are mixed by what each covers.
+    color = vec4(exposure * sum.rgb / sum.a, 1.0) * (1.0 - through);
+    vec4 clip = to_clip * vec4(middle + axes * (place / sum.a), 1.0);
+    gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;
+    depth = vec4(clip.w * color.a, 0.0, 0.0, color.a);
+}
+#endif
