@@ -289,8 +289,8 @@ class Slicings:
 class SlicedFoliage:
     """Slicings and what goes with them.
 
-    solid: what is drawn as triangles beside them: large primitives, and the trunk once it is known. standard: the slices of two perpendicular slicings on cards with a
-    standard material, for viewers that know no slicings.
+    solid: what is drawn as triangles beside them: large primitives, and the trunk once it is known. standard: the
+    slices of two perpendicular slicings on cards with a standard material, for viewers that know no slicings.
     """
 
     slicings: Slicings
@@ -335,7 +335,7 @@ class Impostor:
 
 @dataclass(frozen=True, eq=False)
 class BakedTree:
-    """Everything that is published of one tree; what was not baked is None. `source` is the whole source mesh's size."""
+    """Everything that is published of one tree; what was not baked is None. `source` is the whole source's size."""
 
     name: str
     cloud: BillboardCloud
