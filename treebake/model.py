@@ -306,7 +306,7 @@ class Views:
     Each of K views has L layers, the nearest first.
     layout: "ring", K views around the tree from +Z towards +X, or "hemi", side x side of them on a hemi-octahedron.
     side: K, or views along a side. layers: L. center: (3,) float64. radius: of the sphere about it that holds all.
-    support: (33,) float32, how far the tree reaches in a direction whose vertical part is -1 .. 1, however turned.
+    support: (33,) float32, how far the tree reaches at elevations from -90 to 90 degrees, however turned.
     brightness, exposure: as in Slicings. The atlas may be that of other trees too.
     """
 

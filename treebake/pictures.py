@@ -13,6 +13,7 @@ from treebake.model import Bytes, Floats, Ints, Longs, PictureAtlas, Texture
 
 STEEPEST = 4.0  # slopes run from -STEEPEST to STEEPEST
 _STRETCHES = np.linspace(0.9, 1.2, 5)  # of a square, in width, that are tried for an atlas
+MOST_ATLAS = 16384  # texels a side
 _LEAST = 0.07  # coverage of a texel that makes a picture larger
 CELL = 4  # texels: every picture begins and ends with a compressed block
 
@@ -68,9 +69,17 @@ def _placed(cells: Longs, width: int, height: int) -> Longs | None:
     return np.array(found, np.int64)[:, 1:] if len(found) == len(cells) else None
 
 
-def enough_for(sizes: Ints, gutter: int) -> int:
-    """The least power of two that is an atlas's greatest side with room for such pictures."""
-    return next(side for side in (1 << bits for bits in range(6, 31)) if pack_pictures(sizes, gutter, side))
+def enough_for(sizes: Ints, gutter: int) -> int | None:
+    """The least power of two that is an atlas's greatest side with room for such pictures; None beyond MOST_ATLAS."""
+    sides = (1 << bits for bits in range(6, MOST_ATLAS.bit_length()))
+    return next((side for side in sides if pack_pictures(sizes, gutter, side)), None)
+
+
+def advice(sizes: Ints, gutter: int, table: str, others: str) -> str:
+    """What to do where pictures do not fit. table: of the settings. others: what else can be lowered there."""
+    enough = enough_for(sizes, gutter)
+    raised = f"set [{table}] atlas = {enough}, or " if enough else ""
+    return f"{raised}lower [{table}] {others}"
 
 
 def compose(parts: Iterable[Part], size: tuple[int, int], gutter: int, name: str) -> PictureAtlas:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from treebake.asset import Asset, read_asset, write_asset, write_shared_views
+from treebake.asset import SHARED, Asset, read_asset, write_asset, write_shared_views
 from treebake.errors import InputError, SettingsError, WorkspaceError
 from treebake.files import cache_folder
 from treebake.geometry import join
@@ -131,12 +131,14 @@ def bake_shared(works: Sequence[Workspace], out: Path, settings: Settings) -> li
         raise SettingsError(
             f"two trees are named {min(twice)}; rename one of the files, for each has a folder of its own"
         )
+    if SHARED in names:
+        raise SettingsError(f"a tree is named {SHARED}, as the folder of what the trees share; rename its file")
     if not settings.views.enabled:
         raise SettingsError("--shared-atlas is for views, and views.enabled is false; leave out one of them")
     for work, name in zip(works, names, strict=True):
         _spare(Path(_source(work).path), out / name, name)
     trees = Result.together([work.read("twigs", _command(work)) for work in works])
-    gathered = Workspace(out / "shared_views", works[0].force, works[0].announce)
+    gathered = Workspace(out / SHARED, works[0].force, works[0].announce)
     impostors: tuple[Impostor, ...] = gathered.run(views, settings.views, trees).value
     shared = write_shared_views(list(zip(names, impostors, strict=True)), out)
     beside = Path("..") / shared.relative_to(out)

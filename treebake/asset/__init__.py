@@ -4,9 +4,10 @@ from treebake.asset.indirect import indirect_bytes, read_indirect
 from treebake.asset.manifest import Asset, Level, Manifest
 from treebake.asset.pictures import atlas_bytes, read_slicings, read_views
 from treebake.asset.read import read_asset
-from treebake.asset.write import write_asset, write_shared_views
+from treebake.asset.write import SHARED, write_asset, write_shared_views
 
 __all__ = [
+    "SHARED",
     "Asset",
     "Level",
     "Manifest",

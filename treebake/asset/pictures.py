@@ -113,9 +113,15 @@ def read_views(path: Path, name: str) -> Views:
         count = where.side if where.layout == "ring" else where.side**2
         checks = (
             (where.layout in ("ring", "hemi"), f"its layout is {where.layout}"),
+            (where.side >= 2, "it has a single view"),
             (_sound(views.pictures, views.atlas), "a picture leaves the atlas, or holds no numbers"),
             (len(views.pictures) == count * where.layers, "there are more or fewer pictures than it says"),
-            (len(views.support) == SUPPORT and np.isfinite(views.support).all(), "its support is of another length"),
+            (
+                views.support.dtype == np.float32
+                and len(views.support) == SUPPORT
+                and np.isfinite(views.support).all(),
+                "its support is of another length",
+            ),
         )
         return views, next((what for sound, what in checks if not sound), "")
 

@@ -17,7 +17,7 @@ from treebake.images import encode_floats, encode_png, encode_texture
 from treebake.model import BakedTree, Impostor, IndirectTextures, Mesh, PictureAtlas, SlicedFoliage, Texture, Views
 
 _CARD = 6  # triangles of a view's card
-_SHARED = "shared_views"
+SHARED = "shared_views"  # folder and file of the views of trees that share an atlas
 
 
 def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Manifest:
@@ -86,10 +86,10 @@ def write_shared_views(named: Sequence[tuple[str, Impostor]], out: Path) -> Path
 
     Returns the GLB's path. Raises WorkspaceError.
     """
-    folder = out / _SHARED
-    write_views(folder / f"{_SHARED}.glb", named)
+    folder = out / SHARED
+    write_views(folder / f"{SHARED}.glb", named)
     _write_atlas(folder, "shared", named[0][1].views.atlas)
-    return folder / f"{_SHARED}.glb"
+    return folder / f"{SHARED}.glb"
 
 
 def _slicings_entry(file: str, foliage: SlicedFoliage) -> SlicingsEntry:

@@ -139,7 +139,7 @@ def _chunks(path: Path, data: bytes) -> dict[bytes, bytes]:
 
 def _document(path: Path, data: bytes) -> dict[str, Any]:
     try:
-        document = json.loads(data)
+        document = json.loads(data, parse_constant=_no_number)
         version = str(document["asset"]["version"])
     except (ValueError, KeyError, TypeError) as error:
         raise MeshError(f"{path} is damaged or no glTF file; export or download it again") from error
@@ -147,6 +147,10 @@ def _document(path: Path, data: bytes) -> dict[str, Any]:
         raise UnsupportedError(f"{path} is glTF {version}; convert it to glTF 2.0")
     found: dict[str, Any] = document
     return found
+
+
+def _no_number(name: str) -> float:
+    raise ValueError(f"{name} is no JSON")
 
 
 def _data_uri(uri: str) -> bytes:

@@ -39,8 +39,7 @@ class SlicingCards:
         away = np.linalg.norm(grove.places[:, :3] - view.eye, axis=1)
         near = self._slicings.height * grove.places[:, 3] * view.focus >= RELIEF_HEIGHT * away
         for shader, chosen in zip(self._programs, (~near, near), strict=True):
-            if chosen.any():
-                self._render(shader, view, Grove(grove.places[chosen], grove.turns[chosen]))
+            self._render(shader, view, Grove(grove.places[chosen], grove.turns[chosen]))
         onto.depth_mask = True
 
     def count(self, view: View) -> None:
@@ -67,6 +66,8 @@ class SlicingCards:
 
     def _render(self, shader: moderngl.Program, view: View, grove: Grove) -> None:
         gl, slicings = self._gl, self._slicings
+        if not len(grove.turns):
+            return
         for unit, (name, texture) in enumerate(self._textures.items()):
             texture.use(unit)
             if name in shader:

@@ -1,6 +1,7 @@
 """Draws view impostors: a card per tree that faces the viewer ([I11])."""
 
 import moderngl
+import numpy as np
 
 from treebake.gl.context import program
 from treebake.gl.textures import upload_atlas, upload_table
@@ -9,6 +10,10 @@ from treebake.model import Views
 
 _HINT = "bake with fewer [views] texels"
 _TRIANGLES = 6  # of a card
+_FLAT_LAYERS = 9  # of all views together: what a vertex can tell its fragments
+
+# Pixels of a tree's height from which on each layer of a view is looked into; below it is flat.
+RELIEF_HEIGHT = 48.0
 
 
 class ViewCards:
@@ -16,19 +21,28 @@ class ViewCards:
 
     def __init__(self, gl: moderngl.Context, views: Views) -> None:
         self._gl, self._views = gl, views
-        self._program, self._counter = program("views"), program("views_count")
+        self._programs = program("views_plain"), program("views")
+        self._counter = program("views_count")
         self._textures = {
             "pictures": upload_table(gl, views.pictures, "f4", _HINT),
             **upload_atlas(gl, views.atlas, _HINT),
         }
 
     def draw(self, view: View, onto: moderngl.Framebuffer, grove: Grove = ONE_TREE) -> None:
-        """Draw all trees over what is in `onto`, the framebuffer in use, in one call; depth is tested and written."""
-        gl = self._gl
+        """Draw all trees over what is in `onto`, the framebuffer in use; depth is tested and written.
+
+        Two calls: one for the trees that are looked into, over one for those that are too far away for that.
+        """
+        gl, views = self._gl, self._views
         onto.depth_mask = True
         gl.enable(gl.BLEND)
         gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
-        self._render(self._program, view, grove)
+        away = np.linalg.norm(grove.places[:, :3] - view.eye, axis=1)
+        near = 2 * views.radius * grove.places[:, 3] * view.focus >= RELIEF_HEIGHT * away
+        if (3 if views.layout == "hemi" else 2) * views.layers > _FLAT_LAYERS:
+            near[:] = True
+        for shader, chosen in zip(self._programs, (~near, near), strict=True):
+            self._render(shader, view, Grove(grove.places[chosen], grove.turns[chosen]))
 
     def count(self, view: View) -> None:
         """Add the fragments that the card asks for to the framebuffer in use."""
@@ -45,6 +59,8 @@ class ViewCards:
 
     def _render(self, shader: moderngl.Program, view: View, grove: Grove) -> None:
         gl, views = self._gl, self._views
+        if not len(grove.turns):
+            return
         for unit, (name, texture) in enumerate(self._textures.items()):
             texture.use(unit)
             if name in shader:

@@ -16,7 +16,7 @@ from treebake.model import Doubles, Floats
 SKY, GREY = (0.55, 0.72, 0.92), (0.18, 0.18, 0.18)  # the backgrounds, linear light
 _FLIP_REACH = 16  # pixels that FLIP's filters look around them at 67 pixels per degree: 10, and some to spare
 _SSIM_REACH = 5
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ def similarity(a: Floats, b: Floats) -> Doubles:
 
     Gaussian window of 11 x 11 pixels, sigma 1.5 ([WBSS04] 3.2).
     """
-    x, y = (to_srgb(image @ _LUMINANCE) / 255 for image in (a, b))
+    x, y = (to_srgb(image @ LUMINANCE) / 255 for image in (a, b))
     offsets = np.arange(-_SSIM_REACH, _SSIM_REACH + 1)
     window = np.exp(-(offsets**2) / (2 * 1.5**2))
     window /= window.sum()

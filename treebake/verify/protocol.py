@@ -19,6 +19,7 @@ from treebake.verify.figures import Figures, summed_up
 from treebake.verify.metrics import SKY, Scores, over, score, score_all
 from treebake.verify.reference import SCALE, reference
 from treebake.verify.thresholds import CLOSE, failures, parse
+from treebake.verify.turn import Turn, turn
 
 LOG = logging.getLogger("treebake")
 
@@ -41,6 +42,8 @@ class VerifySettings:
     elevations: tuple[float, ...] = (0.0, 25.0, 60.0)  # degrees above the horizon, -90 to 90
     azimuths: int = 8  # evenly spaced views around the tree at each elevation, 1 or more
     quick: bool = False  # only a third of the views, only at 256 pixels, and not close up
+    turn: int = 0  # height in pixels at which the tree is looked at from all round; 0: it is not, or 16 to 2048
+    frames: int = 360  # of that turn, 2 or more
     representations: tuple[str, ...] = ()  # of an asset: "cloud", "cloud_same_bytes", "indirect", "slicings",
     # "views"; none given: all
     thresholds: dict[str, float | dict[str, float]] = field(default_factory=dict)
@@ -80,12 +83,13 @@ class Report:
     """What `verify` found.
 
     levels: one per height, greatest first. close_up: the crown's edge, its height that of the window; None where it was
-    not looked at. views: cameras at each height. renderer: the OpenGL that drew. misses: the thresholds that the
-    candidate missed, one line each.
+    not looked at. turn: once round the tree, where that was asked for. views: cameras at each height. renderer: the
+    OpenGL that drew. misses: the thresholds that the candidate missed, one line each.
     """
 
     levels: tuple[Level, ...]
     close_up: Level | None
+    turn: Turn | None
     views: int
     renderer: str
     misses: tuple[str, ...]
@@ -119,17 +123,19 @@ def verify(
         raise SettingsError(f"no candidate for {missing[0]} px; give one mesh per height, or leave out that height")
 
     close = () if settings.quick else close
-    tally = _Tally(2 * (len(heights) * len(directions) + len(close)), progress)
+    frames = settings.frames if settings.turn and not settings.quick else 0
+    tally = _Tally(2 * (len(heights) * len(directions) + len(close)) + frames, progress)
 
     def level(mesh: Mesh, views: Sequence[Camera | CloseUp], height: int) -> Level:
         return _level(source, trunk, mesh, layers, views, height, cache, tally)
 
     levels = tuple(level(candidates[height], directions, height) for height in heights)
     close_up = level(candidates[heights[0]], close, CLOSE_UP) if close else None
+    around = turn(source, candidates[heights[0]], layers, settings.turn, frames, tally) if frames else None
     measured: list[tuple[int | str, Figures]] = [(level.height, level.candidate) for level in levels]
     if close_up:
         measured.append((CLOSE, close_up.candidate))
-    return Report(levels, close_up, len(directions), renderer(), failures(measured, settings.thresholds))
+    return Report(levels, close_up, around, len(directions), renderer(), failures(measured, settings.thresholds))
 
 
 def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Camera, ...]]:
@@ -137,6 +143,8 @@ def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Came
         (not settings.heights or not all(16 <= height <= 2048 for height in settings.heights), "heights: 16 to 2048"),
         (not settings.elevations or not all(-90 <= e <= 90 for e in settings.elevations), "elevations: -90 to 90"),
         (settings.azimuths < 1, "azimuths: 1 or more"),
+        (settings.turn and not 16 <= settings.turn <= 2048, "turn: 0 or 16 to 2048"),
+        (settings.frames < 2, "frames: 2 or more"),
     ):
         if bad:
             raise SettingsError(f"verify.{what}; at least one")

@@ -13,6 +13,7 @@ from treebake.images import encode_png, to_srgb
 from treebake.model import Bytes, Floats
 from treebake.verify.figures import Figures
 from treebake.verify.protocol import Level, Report, Sample
+from treebake.verify.turn import Turn
 
 _DECIMALS = 5
 # Dark to light through purple, evenly spaced for the eye: matplotlib's "magma" at quarter steps.
@@ -41,6 +42,7 @@ def as_dict(report: Report) -> dict[str, Any]:
         "misses": list(report.misses),
         "heights": [_level(level) for level in report.levels],
         "close_up": _level(report.close_up) if report.close_up else None,
+        "turn": _plain(report.turn) if report.turn else None,
     }
 
 
@@ -48,8 +50,8 @@ def _level(level: Level) -> dict[str, Any]:
     return {
         "height": level.height,
         "invisible": level.invisible,
-        **_rounded(level.candidate),
-        "scale": {name: _rounded(figures) for name, figures in _scale(level).items()},
+        **_plain(level.candidate),
+        "scale": {name: _plain(figures) for name, figures in _scale(level).items()},
     }
 
 
@@ -81,13 +83,23 @@ def format_table(reports: Mapping[str, Report]) -> str:
             cells = [_cell(figures, *column[1:]) for column in _COLUMNS]
             lines.append(["" if row else label, name.replace("_", " ") + mark, *cells])
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join(
+    table = [
         "  ".join(
             cell.ljust(width) if index == 1 else cell.rjust(width)
             for index, (cell, width) in enumerate(zip(line, widths, strict=True))
         ).rstrip()
         for line in lines
-    )
+    ]
+    return "\n".join(table + [line for name, report in reports.items() for line in _turned(name, report.turn)])
+
+
+def _turned(name: str, turn: Turn | None) -> list[str]:
+    if turn is None:
+        return []
+    return [
+        f"once round at {turn.height} px, {name.replace('_', ' ')}: brightness {turn.brightness:.3f} of the source's, "
+        f"at worst {turn.brightness_worst:.3f}; largest step {turn.step:.2f} times the source's"
+    ]
 
 
 def _labelled(report: Report) -> list[tuple[str, Level]]:
@@ -99,7 +111,7 @@ def _scale(level: Level) -> dict[str, Figures]:
     return {"floor_0.5px": level.floor_half, "floor_1px": level.floor_one, "empty": level.empty}
 
 
-def _rounded(figures: Figures) -> dict[str, Any]:
+def _plain(figures: Figures | Turn) -> dict[str, Any]:
     return {
         name: round(value, _DECIMALS) if isinstance(value, float) else value for name, value in asdict(figures).items()
     }

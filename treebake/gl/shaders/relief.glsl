@@ -11,6 +11,7 @@ struct Picture {
     vec4 bounds;  // left, bottom, right, top, in the picture's frame
     vec4 texels;  // texture coordinates at (left, bottom) and (right, top)
     vec2 range;   // depths towards the viewer that 0 and 1 stand for; the greater first in a picture seen from behind
+    float plane;  // depth at which all of it lies where it is not followed in steps
 };
 
 // Colour premultiplied by coverage, of the ray that meets depth 0 at `place` and moves by `way` for each unit towards the
@@ -23,24 +24,27 @@ vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out 
     float thick = abs(picture.range.y - picture.range.x) / float(steps);
     float left = 1.0;  // of the ray's light
     height = 0.0;
+    vec2 slope = vec2(0.0);
     for (int i = 0; i < steps; ++i) {
-        float depth = steps == 1 ? 0.0 : nearest - (float(i) + 0.5) * thick;
+        float depth = steps == 1 ? picture.plane : nearest - (float(i) + 0.5) * thick;
         vec2 at = place + way * depth;
         vec2 uv = origin + at * scale;
-        float there = mix(picture.range.x, picture.range.y, textureLod(relief, uv, half_lod).b);
+        vec3 surface = textureLod(relief, uv, half_lod).rgb;
+        float there = mix(picture.range.x, picture.range.y, surface.b);
         float part = textureLod(coverage, uv, lod).r;
         // A depth between two steps belongs to both in parts, which add up to one.
         part *= steps == 1 ? 1.0 : max(1.0 - abs(there - depth) / thick, 0.0);
         part = at == clamp(at, picture.bounds.xy, picture.bounds.zw) ? min(part, left) : 0.0;
         left -= part;
         height += part * there;
+        slope += part * surface.rg;
     }
     float sum = 1.0 - left;
     height /= max(sum, 1e-6);
-    vec2 uv = origin + (place + way * (steps == 1 ? 0.0 : height)) * scale;
+    vec2 uv = origin + (place + way * (steps == 1 ? picture.plane : height)) * scale;
     vec3 color = textureLod(lit, uv, half_lod).rgb;
     // A surface turned to the viewer covers more than it did in the picture, one turned away less.
-    vec2 slope = (textureLod(relief, uv, half_lod).rg * 2.0 - 1.0) * STEEPEST;
+    slope = (slope / max(sum, 1e-6) * 2.0 - 1.0) * STEEPEST;
     if (picture.range.x > picture.range.y) slope.y = -slope.y;
     float turned = abs(dot(vec3(slope, 1.0), normalize(vec3(way, 1.0))));
     sum = 1.0 - pow(1.0 - sum, turned);

@@ -23,7 +23,7 @@ layout(location = 1) out vec4 depth;
 void main() {
     float height;
     vec2 way = (viewer.xy - place) / viewer.z;
-    Picture picture = Picture(bounds, texels, range);
+    Picture picture = Picture(bounds, texels, range, 0.0);
     vec4 found = look_into(picture, place, way, lod_of(picture, dFdx(place), dFdy(place)), steps, height);
     if (found.a == 0.0) discard;
     vec4 clip = to_clip * vec4(origin + frame * vec3(place + way * height, height), 1.0);

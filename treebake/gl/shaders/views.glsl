@@ -39,16 +39,17 @@ vec4 look_at(int view, out vec3 seen) {
     vec2 way = (from.xy - at.xy) / max(from.z - at.z, 1e-3 * length(from));
     way *= min(1.0, OBLIQUE / max(length(way), 1e-6));
     vec2 place = at.xy - way * at.z;
-    vec2 dx = dFdx(place);
-    vec2 dy = dFdy(place);
+    Picture first = Picture(entry(3, row), entry(4, row), vec2(0.0), 0.0);  // all layers have texels of one size
+    float lod = lod_of(first, dFdx(place), dFdy(place));
     vec4 sum = vec4(0.0);
     seen = vec3(0.0);
     for (int end = row + layers; row < end; ++row) {
-        Picture picture = Picture(entry(3, row), entry(4, row), vec2(entry(1, row).w, entry(2, row).w));
-        float shift = (picture.range.y - picture.range.x) * length(way) * pixels;
+        vec2 range = vec2(entry(1, row).w, entry(2, row).w);
+        Picture picture = Picture(entry(3, row), entry(4, row), range, 0.5 * (range.x + range.y));
+        float shift = (range.y - range.x) * length(way) * pixels;
         float height;
-        int steps = clamp(int(ceil(shift / STEP)), 2, MOST_STEPS);
-        vec4 found = (1.0 - sum.a) * look_into(picture, place, way, lod_of(picture, dx, dy), steps, height);
+        int steps = clamp(int(ceil(shift / STEP)), 1, MOST_STEPS);
+        vec4 found = (1.0 - sum.a) * look_into(picture, place, way, lod, steps, height);
         sum += found;
         seen += found.a * (frame * vec3(place + way * height, height));
     }

@@ -1,5 +1,7 @@
 // Places the card of view impostors, of many trees in one call: it faces the viewer, and has 8 corners ([I11]). Chooses
 // the pictures that are seen on it, and their shares.
+const int FLAT_LAYERS = 9;  // of all views together that fit between the stages
+
 #ifdef VERTEX_STAGE
 uniform mat4 to_clip;
 uniform vec3 eye;
@@ -19,20 +21,50 @@ flat out float pixels; // that a unit takes up
 flat out mat3 axes;    // the tree's, in the world
 flat out vec3 middle;  // its center, in the world
 out vec3 point;        // on the card
+#ifdef FLAT
+uniform int layers;
+uniform sampler2D pictures;
 
-const float TAU = 6.28318530718;
+flat out vec4 limits[FLAT_LAYERS];  // of each layer of each view: least and greatest texture coordinates
+out vec2 uv[FLAT_LAYERS];
+out float along;
+
+// Where the point of the card is looked up in each layer, taken for flat at its middle depth.
+void look_up() {
+    for (int i = 0; i < (hemi ? 3 : 2) * layers; ++i) {
+        int row = chosen[i / layers] * layers + i % layers;
+        mat3 frame = mat3(texelFetch(pictures, ivec2(0, row), 0).xyz, texelFetch(pictures, ivec2(1, row), 0).xyz,
+                          texelFetch(pictures, ivec2(2, row), 0).xyz);
+        float plane = 0.5 * (texelFetch(pictures, ivec2(1, row), 0).w + texelFetch(pictures, ivec2(2, row), 0).w);
+        vec4 bounds = texelFetch(pictures, ivec2(3, row), 0);
+        vec4 texels = texelFetch(pictures, ivec2(4, row), 0);
+        vec3 from = viewer * frame;
+        vec3 at = point * frame;
+        vec2 way = from.xy / max(from.z, 1e-3 * length(from));
+        way *= min(1.0, 1.0 / max(length(way), 1e-6));
+        vec2 place = at.xy - way * (at.z - plane);
+        uv[i] = texels.xy + (place - bounds.xy) / (bounds.zw - bounds.xy) * (texels.zw - texels.xy);
+        limits[i] = vec4(min(texels.xy, texels.zw), max(texels.xy, texels.zw));
+    }
+}
+#endif
+
+const float PI = 3.14159265359;
+const float TAU = 2.0 * PI;
 const float EIGHTH = TAU / 8.0;
 
 // How far the tree reaches in a direction with this vertical part, as far as it is seen from the viewer's distance.
 float reach(float up, float distance_) {
-    float at = clamp(up * 0.5 + 0.5, 0.0, 1.0) * 32.0;
+    float at = clamp(asin(clamp(up, -1.0, 1.0)) / PI + 0.5, 0.0, 1.0) * 32.0;
     int low = min(int(at), 31);
     float far = mix(support[low], support[low + 1], at - float(low));
-    float nearer = sqrt(max(radius * radius - far * far, 0.0));  // what reaches so far can be no nearer to the viewer
-    return far * distance_ / max(distance_ - nearer, 0.1 * distance_);
+    // What reaches less far and lies nearer the viewer may be seen farther out, up to the sphere's outline.
+    far = min(far, radius * sqrt(1.0 - radius * radius / (distance_ * distance_)));
+    return far * distance_ / (distance_ - sqrt(radius * radius - far * far));
 }
 
 void choose(vec3 way) {
+    if (length(way.xz) < 1e-6) way = vec3(0.0, max(way.y, 0.0), 1e-6);  // straight above or below all azimuths are alike
     if (!hemi) {
         float around = atan(way.x, way.z) / TAU * float(side);
         float first = floor(around);
@@ -62,12 +94,20 @@ void main() {
     int corner = gl_VertexID % 3 == 0 ? 0 : triangle + gl_VertexID % 3;  // a fan
     float a = float(corner) * EIGHTH;
     float b = a + EIGHTH;
-    vec2 place = (reach(up.y * sin(a), distance_) * vec2(sin(b), -cos(b))
-                  - reach(up.y * sin(b), distance_) * vec2(sin(a), -cos(a))) / sin(EIGHTH);
+    float reaches[4];
+    for (int i = 0; i < 4; ++i) reaches[i] = reach(up.y * sin(a + float(i - 1) * EIGHTH), distance_);
+    // A side that its neighbours cut off would turn the outline inside out.
+    float here = min(reaches[1], (reaches[0] + reaches[2]) / (2.0 * cos(EIGHTH)));
+    float following = min(reaches[2], (reaches[1] + reaches[3]) / (2.0 * cos(EIGHTH)));
+    vec2 place = (here * vec2(sin(b), -cos(b)) - following * vec2(sin(a), -cos(a))) / sin(EIGHTH);
     point = right * place.x + up * place.y;
     axes = turned(mat3(1.0));
     middle = turned_point(center);
     pixels = focus / distance_;
-    gl_Position = distance_ > radius ? to_clip * vec4(middle + axes * point, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+    gl_Position = distance_ > 1.001 * radius ? to_clip * vec4(middle + axes * point, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
+#ifdef FLAT
+    look_up();
+    along = gl_Position.w;
+#endif
 }
 #endif

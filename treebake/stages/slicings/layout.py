@@ -7,7 +7,7 @@ import numpy as np
 from treebake.errors import BudgetError
 from treebake.gl.photo import Photo
 from treebake.model import Floats, Ints, PictureAtlas
-from treebake.pictures import Part, compose, covered, enough_for, pack_pictures
+from treebake.pictures import Part, advice, compose, covered, pack_pictures
 from treebake.stages.slicings.mirror import seen_from_behind
 from treebake.stages.slicings.shots import Slice
 from treebake.stages.slicings.trim import trim
@@ -59,9 +59,8 @@ def _packed(used: Ints, gutter: int, limit: int) -> tuple[Ints, tuple[int, int]]
     sizes = used[:, 2:] - used[:, :2]
     packed = pack_pictures(sizes, gutter, limit)
     if packed is None:
-        enough = enough_for(sizes, gutter)
         raise BudgetError(
-            f"the slices need an atlas of {enough} texels a side, and [slicings] atlas is {limit}; set it to {enough}, "
-            "or lower [slicings] texels, slices or orientations"
+            f"the slices do not fit into an atlas of {limit} texels a side; "
+            f"{advice(sizes, gutter, 'slicings', 'texels, slices or orientations')}"
         )
     return packed

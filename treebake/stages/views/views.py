@@ -11,7 +11,7 @@ from treebake.errors import BudgetError, SettingsError
 from treebake.geometry import join, turn_to
 from treebake.gl.photo import Shot, photograph
 from treebake.model import Doubles, Floats, Impostor, Ints, Mesh, Tree, Views
-from treebake.pictures import Part, compose, covered, enough_for, pack_pictures, trimmed
+from treebake.pictures import Part, advice, compose, covered, pack_pictures, trimmed
 from treebake.stages.views.directions import hemi_octahedron, ring
 from treebake.stages.views.support import support
 
@@ -105,13 +105,16 @@ def _shots(mesh: Mesh, turn: Doubles, texel: float, layers: int) -> list[Shot]:
     low, high = points[mesh.used].min(axis=0), points[mesh.used].max(axis=0)
     size = np.maximum(np.ceil((high - low)[:2] / texel - 1e-6), 1)
     middle, half = (low + high)[:2] / 2, size * texel / 2
-    room = 1e-3 * texel
+    room = 1e-3 * texel + 1e-5 * float((high - low)[2])
     depth = points[:, 2][mesh.faces]
     nearest, farthest, mean = depth.max(axis=1), depth.min(axis=1), depth.mean(axis=1)
     order = np.argsort(mean)
     share = np.cumsum(mesh.face_areas[order])
     inner = mean[order][np.searchsorted(share, share[-1] * np.arange(1, layers) / layers)]
-    edges = [float(low[2]) - room, *inner.tolist(), float(high[2]) + room]
+    edges = [float(low[2]) - room]
+    for edge in inner.tolist():  # what lies exactly at an edge is in front of it, and no layer is without depth
+        edges.append(max(edge - room / 2, edges[-1] + room / (2 * layers)))
+    edges.append(float(high[2]) + room)
     return [
         Shot(
             turn=turn,
@@ -130,10 +133,9 @@ def _packed(crops: Ints, settings: ViewSettings) -> tuple[Ints, tuple[int, int]]
     sizes = crops[:, 2:] - crops[:, :2]
     packed = pack_pictures(sizes, settings.gutter, settings.atlas)
     if packed is None:
-        enough = enough_for(sizes, settings.gutter)
         raise BudgetError(
-            f"{len(crops)} pictures need an atlas of {enough} texels a side, and [views] atlas is {settings.atlas}; "
-            f"set it to {enough}, or lower [views] texels, layers, count or side"
+            f"{len(crops)} pictures do not fit into an atlas of {settings.atlas} texels a side; "
+            f"{advice(sizes, settings.gutter, 'views', 'texels, layers, count or side')}"
         )
     return packed
 
