@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from treebake.model import Doubles, Floats
 from treebake.coverage import preserve_coverage
+from treebake.model import Doubles, Floats
 
 WITHIN = 0.1  # of the coverage
 

@@ -39,6 +39,11 @@ class Times:
         return self.source / self.stand_in
 
 
+def distance_of(source: Mesh, height: float) -> float:
+    """How far away a tree's bounding sphere is `height` pixels high."""
+    return float(np.linalg.norm(np.ptp(source.bounds, axis=0))) / height * WINDOW[1] / 2 / math.tan(_FIELD / 2)
+
+
 def compare(source: Mesh, rest: Mesh, layers: Layers, count: int, spacing: float, nearest: float) -> Times:
     """Draw count x count trees, `spacing` metres apart, the nearest one `nearest` metres away.
 

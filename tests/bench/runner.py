@@ -60,14 +60,26 @@ class Runner:
         return Path(self.treebake("bake", self.source(name), "-o", out, "--force", *options)["asset"])
 
     def _scores(
-        self, name: str, *options: str, into: str = "bakes", heights: tuple[int, ...], of: str = "cloud"
+        self,
+        name: str,
+        *options: str,
+        into: str = "bakes",
+        heights: tuple[int, ...],
+        of: str = "cloud",
+        sets: tuple[str, ...] = (),
     ) -> dict[int | str, Any]:
-        """Verify one representation of a baked tree; returns the figures by height, and those of the "close" views."""
+        """Verify one representation of a baked tree; returns the figures by height, of the "close" views, of the "turn".
+
+        sets: further flags of the verifier.
+        """
         asset = self.asset(name, *options, into=into)
-        choices = "--set", f"verify.heights={list(heights)}", "--set", f'verify.representations=["{of}"]'
+        choices = "--set", f"verify.heights={list(heights)}", "--set", f'verify.representations=["{of}"]', *sets
         found = self.treebake("verify", asset, "--source", self.source(name), *choices, *_configs(options))
         report = found["representations"][of]
-        return {row["height"]: row for row in report["heights"]} | {"close": report["close_up"]}
+        return {row["height"]: row for row in report["heights"]} | {
+            "close": report["close_up"],
+            "turn": report["turn"],
+        }
 
     def manifest(self, name: str, *options: str, into: str = "bakes") -> Any:
         """The manifest of a baked tree."""

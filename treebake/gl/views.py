@@ -13,7 +13,7 @@ _TRIANGLES = 6  # of a card
 _FLAT_LAYERS = 9  # of all views together: what a vertex can tell its fragments
 
 # Pixels of a tree's height from which on each layer of a view is looked into; below it is flat.
-RELIEF_HEIGHT = 48.0
+RELIEF_HEIGHT = 60.0
 
 
 class ViewCards:
