@@ -301,7 +301,6 @@ def test_a_tree_without_leaves_has_views_and_no_slicings(tmp_path: Path, treebak
     assert manifest["views"]["file"] == "bare_views.glb"
 
 
-@pytest.mark.xfail(strict=True, reason="views: two layers of a single triangle have no depth, and divide by it")
 def test_a_single_triangle_bakes_into_everything(tmp_path: Path, treebake: Callable[..., Outcome]) -> None:
     result = treebake("bake", gltf(tmp_path / "leaf.gltf"), "-o", tmp_path, *COARSE)
     assert result.code == 0, result.err

@@ -377,6 +377,7 @@ def test_standard_cards_stand_on_the_slices_of_two_perpendicular_slicings() -> N
     sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     sides /= np.linalg.norm(sides, axis=1, keepdims=True)
     assert {tuple(np.abs(side.round(6))) for side in sides} == {(0, 0, 1), (1, 0, 0)}
+    np.testing.assert_allclose(cards.normals[cards.faces[:, 0]], sides, atol=1e-6)
     for slicing, axis in ((0, 2), (1, 0)):
         mine = np.abs(sides[:, axis]) > 0.5
         planes = {round(float(value), 5) for value in corners[mine][..., axis].ravel() - made.slicings.center[axis]}
@@ -508,10 +509,12 @@ def test_settings_at_the_ends_of_their_ranges_are_taken(settings: dict[str, obje
 
 def test_an_atlas_too_small_names_one_that_is_large_enough() -> None:
     small = replace(SMALL, texels=256, supersample=1, atlas=64)
-    with pytest.raises(BudgetError, match=r"\[slicings\] atlas is 64; set it to (\d+)") as caught:
+    with pytest.raises(
+        BudgetError, match=r"an atlas of 64 texels a side; set \[slicings\] atlas = \d+, or lower \[slicings\] texels"
+    ) as caught:
         slicings(two_colors(), small)
     assert "\n" not in str(caught.value)
-    enough = int(re.findall(r"set it to (\d+)", str(caught.value))[0])
+    enough = int(re.findall(r"atlas = (\d+)", str(caught.value))[0])
     assert enough & (enough - 1) == 0
     with pytest.raises(BudgetError):
         slicings(two_colors(), replace(small, atlas=enough // 2))

@@ -23,6 +23,7 @@ from treebake.images import to_linear, to_srgb
 from treebake.model import AlphaMode, Floats, Material, Mesh, PictureAtlas, Slicings, Texture, Tree
 from treebake.pictures import STEEPEST
 from treebake.stages.slicings import SlicingSettings, slicings
+from treebake.stages.slicings.mirror import seen_from_behind
 
 CELL = 16  # texels of a picture's side in the atlas
 AWAY = 20.0
@@ -217,11 +218,12 @@ def test_without_a_slicing_from_above_the_sides_stay() -> None:
     assert middle(Cards().made(), around(0.0, 60.0))[3] == pytest.approx(1, abs=1e-3)
 
 
-def test_exposure_is_a_factor_of_the_light_alone() -> None:
+@pytest.mark.parametrize("pixels", [CLOSE, FAR], ids=["looked into", "plain"])
+def test_exposure_is_a_factor_of_the_light_alone(pixels: int) -> None:
     cards = Cards(coverage=100)
-    plain, dim = (middle(replace(cards, exposure=e).made(), around(10.0)) for e in (1.0, 0.5))
-    np.testing.assert_allclose(dim[:3], plain[:3] / 2, atol=1e-3)
-    assert dim[3] == pytest.approx(plain[3], abs=1e-4)
+    bright, dim = (middle(replace(cards, exposure=e).made(), around(10.0, pixels=pixels)) for e in (1.0, 0.5))
+    np.testing.assert_allclose(dim[:3], bright[:3] / 2, atol=1e-3)
+    assert dim[3] == pytest.approx(bright[3], abs=1e-4)
 
 
 # ---- slices --------------------------------------------------------------------------------------------------------
@@ -344,6 +346,24 @@ def test_leaves_off_the_plane_are_seen_at_their_true_place(azimuth: float) -> No
         true = center_of(wanted, channel, window)
         assert np.abs(center_of(seen, channel, window) - true).max() < 1
         assert azimuth == 0 or np.abs(center_of(on_plane, channel, window) - true).max() > 10
+
+
+@pytest.mark.parametrize("elevation", [0.0, 25.0, -25.0])
+@pytest.mark.parametrize("behind", [False, True], ids=["from before", "from behind"])
+def test_what_is_turned_to_the_viewer_covers_more(elevation: float, behind: bool) -> None:
+    """Of a picture seen from behind, the slope up runs the other way."""
+    cards = Cards(orientations=4, coverage=128, depth=0.01)
+    made = cards.made()
+    relief = made.atlas.relief.pixels.copy()
+    relief[..., :2] = 144, 160
+    slices = made.slices.copy()
+    slices[2] = seen_from_behind(slices[0], slices[2])
+    made = replace(made, slices=slices, atlas=replace(made.atlas, relief=texture(relief[..., :3])))
+    seen = middle(made, around(180.0 if behind else 0.0, elevation))
+    right, up = (np.array([144, 160]) / 255 * 2 - 1) * STEEPEST * (1, -1 if behind else 1)
+    turned = abs(turn_to(0, 0) @ turn_to(elevation, 0)[2] @ [right, up, 1])
+    np.testing.assert_allclose(seen[3], 1 - (127 / 255) ** turned, atol=3e-3)
+    np.testing.assert_allclose(seen[:3], cards.color(0, 0) * seen[3], atol=3e-3)
 
 
 def test_from_far_away_slices_are_flat() -> None:

@@ -35,13 +35,17 @@ def through_bc4(pixels: Bytes) -> Bytes:
     return _image(low + np.rint((blocks - low) / step) * step, pixels.shape)
 
 
-def block_bytes(width: int, height: int, block: int) -> int:
-    """Bytes of an image with all its mips, at `block` bytes per 4 x 4 texels: 16 for BC3 and BC5, 8 for BC4."""
-    total = 0
+def block_bytes(width: int, height: int, block: int, mips: int | None = None) -> int:
+    """Bytes of an image with its mips, at `block` bytes per 4 x 4 texels: 16 for BC3 and BC5, 8 for BC1 and BC4.
+
+    mips: how many below the first; all by default.
+    """
+    total, level = 0, 0
     while True:
         total += -(-width // 4) * -(-height // 4) * block
-        if max(width, height) == 1:
+        if max(width, height) == 1 or level == mips:
             return total
+        level += 1
         width, height = max(width // 2, 1), max(height // 2, 1)
 
 

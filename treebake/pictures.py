@@ -12,7 +12,7 @@ from treebake.images import bleed, to_srgb
 from treebake.model import Bytes, Floats, Ints, Longs, PictureAtlas, Texture
 
 STEEPEST = 4.0  # slopes run from -STEEPEST to STEEPEST
-_STRETCHES = np.linspace(0.9, 1.2, 5)  # of a square, in width, that are tried for an atlas
+_STRETCHES = np.linspace(0.85, 1.3, 10)  # of a square, in width, that are tried for an atlas
 MOST_ATLAS = 16384  # texels a side
 _LEAST = 0.07  # coverage of a texel that makes a picture larger
 CELL = 4  # texels: every picture begins and ends with a compressed block
@@ -60,7 +60,7 @@ def pack_pictures(sizes: Ints, gutter: int, limit: int) -> tuple[Ints, tuple[int
 
 def _placed(cells: Longs, width: int, height: int) -> Longs | None:
     """The top left cell of each picture, in order, in an atlas of this size (MAXRECTS, bottom left; Jylänki 2010)."""
-    packer = rectpack.newPacker(pack_algo=rectpack.MaxRectsBl, rotation=False)
+    packer = rectpack.newPacker(pack_algo=rectpack.MaxRectsBl, sort_algo=rectpack.SORT_SSIDE, rotation=False)
     packer.add_bin(width, height)
     for number, (columns, rows) in enumerate(cells.tolist()):
         packer.add_rect(columns, rows, rid=number)

@@ -1,7 +1,7 @@
 """How long a grove takes to draw: each tree as its source's triangles, or as what stands in for it.
 
-A window of 640 x 480 pixels as in [J00], one sample a pixel; trees of a jittered grid, each turned otherwise; the camera
-walks round the grove at eye level. Trees that lie outside of the view are left out on both sides.
+A window of 640 x 480 pixels as in [J00], one sample a pixel; trees of a jittered grid, each turned otherwise; the
+camera walks round the grove at eye level. Trees that lie outside of the view are left out on both sides.
 """
 
 import math

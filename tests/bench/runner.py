@@ -68,7 +68,7 @@ class Runner:
         of: str = "cloud",
         sets: tuple[str, ...] = (),
     ) -> dict[int | str, Any]:
-        """Verify one representation of a baked tree; returns the figures by height, of the "close" views, of the "turn".
+        """Verify one representation of a baked tree; returns the figures by height, and of "close" and "turn".
 
         sets: further flags of the verifier.
         """

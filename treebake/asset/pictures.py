@@ -129,11 +129,14 @@ def read_views(path: Path, name: str) -> Views:
 
 
 def atlas_bytes(atlas: PictureAtlas) -> int:
-    """Bytes on the graphics card of what drawing looks up: coverage BC4, lit BC1, slopes BC5, depth BC4; with mips."""
+    """Bytes on the graphics card of what drawing looks up: coverage BC4, lit BC1, slopes BC5, depth BC4.
+
+    With the mips that show nothing of neighbours; no others are ever looked up.
+    """
     total = 0
     for name, block in _DRAWN.items():
         height, width = getattr(atlas, name).pixels.shape[:2]
-        total += block_bytes(width, height, block)
+        total += block_bytes(width, height, block, atlas.mips if name == "coverage" else max(atlas.mips - 1, 0))
     return total
 
 
