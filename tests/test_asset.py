@@ -27,9 +27,21 @@ from treebake.formats.gltf_file import GltfFile
 from treebake.images import read_image
 from treebake.lookup import LIST_BITS
 from treebake.meshes import read_mesh
-from treebake.model import AlphaMode, BakedTree, BillboardCloud, IndirectTextures, Material, Mesh, Texture
+from treebake.model import (
+    AlphaMode,
+    BakedTree,
+    BillboardCloud,
+    Impostor,
+    IndirectTextures,
+    Material,
+    Mesh,
+    SlicedFoliage,
+    Texture,
+)
 from treebake.placements import unpack
 from treebake.stages.indirect import IndirectSettings, indirect
+from treebake.stages.slicings import SlicingSettings, slicings
+from treebake.stages.views import ViewSettings, views
 
 FORMAT_MD = Path(treebake.__file__).parent / "asset/FORMAT.md"
 
@@ -69,6 +81,21 @@ def layers() -> IndirectTextures:
     return frozen(indirect(tree, clusters, IndirectSettings(leaf_texels=4, atlas=64, far_texels=1)))
 
 
+@cache
+def sliced() -> SlicedFoliage:
+    """The coarsest slicings of three leaves."""
+    tree = leaf_tree([(0, 0, 0), (0.3, 0.1, 0.05), (0, 1, 0)])
+    coarse = SlicingSettings(orientations=2, slices=1, texels=16, far_texels=16, supersample=1, gutter=1)
+    return frozen(slicings(tree, coarse))
+
+
+@cache
+def impostor() -> Impostor:
+    """Two views of three leaves."""
+    tree = leaf_tree([(0, 0, 0), (0.3, 0.1, 0.05), (0, 1, 0)])
+    return views([tree], ViewSettings(count=2, layers=1, texels=16, supersample=1, gutter=1))[0]
+
+
 def baked(name: str = "oak", *, foliage: bool = True, trunk: bool = True) -> BakedTree:
     cloud = BillboardCloud(cards(), np.array([0, 0, 7, 7], np.int32))
     return BakedTree(
@@ -76,6 +103,8 @@ def baked(name: str = "oak", *, foliage: bool = True, trunk: bool = True) -> Bak
         cloud=cloud if foliage else BillboardCloud(empty(), np.zeros(0, np.int32)),
         indirect=layers() if foliage else None,
         trunk=stem() if trunk else empty(),
+        slicings=sliced() if foliage else None,
+        views=impostor() if foliage else None,
         source_triangles=12345,
         source_bounds=np.array([(-1, 0, -2), (1, 3.5, 2)], np.float32),
     )
@@ -168,7 +197,9 @@ def test_the_folder_holds_what_the_manifest_names_and_nothing_else(oak: Path) ->
     manifest = read_asset(oak).manifest
     assert manifest.indirect is not None
     named = {level.file for level in manifest.levels} | {image.file for image in manifest.textures}
-    named.add(manifest.indirect.file)
+    assert manifest.slicings is not None
+    assert manifest.views is not None
+    named |= {manifest.indirect.file, manifest.slicings.file, manifest.views.file}
     found = {path.relative_to(oak).as_posix() for path in oak.rglob("*") if path.is_file()}
     assert found == named | {"manifest.json"}
 
@@ -203,7 +234,7 @@ def test_a_tree_without_leaves(tmp_path: Path) -> None:
     (level,) = manifest.levels
     assert (level.representations, level.billboards, level.foliage_triangles) == (("trunk",), 0, 0)
     assert manifest.textures == ()
-    assert manifest.indirect is None
+    assert (manifest.indirect, manifest.slicings, manifest.views) == (None, None, None)
     assert not (tmp_path / "oak.glb").exists()
     assert not (tmp_path / "textures").exists()
 
@@ -515,14 +546,20 @@ def example_manifest() -> Manifest:
     return msgspec.json.decode(example("manifest.json"), type=Manifest, strict=True)
 
 
+def further(manifest: Manifest) -> list[str]:
+    """The files of what is not a level."""
+    entries = manifest.indirect, manifest.slicings, manifest.views
+    assert None not in entries
+    return [entry.file for entry in entries if entry]
+
+
 # ---- FORMAT.md -----------------------------------------------------------------------------------------------------
 
 
 def test_the_example_is_a_manifest(tmp_path: Path) -> None:
     told = example_manifest()
-    assert told.indirect is not None
-    files = [level.file for level in told.levels] + [image.file for image in told.textures]
-    for file in [*files, told.indirect.file]:
+    files = [level.file for level in told.levels] + [image.file for image in told.textures] + further(told)
+    for file in files:
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).touch()
     (tmp_path / "manifest.json").write_bytes(msgspec.json.encode(told))
@@ -532,9 +569,7 @@ def test_the_example_is_a_manifest(tmp_path: Path) -> None:
 def test_the_example_has_the_files_that_are_written(oak: Path) -> None:
     told, written = example_manifest(), read_asset(oak).manifest
     assert [level.file for level in told.levels] == [level.file for level in written.levels]
-    assert told.indirect is not None
-    assert written.indirect is not None
-    assert told.indirect.file == written.indirect.file
+    assert further(told) == further(written)
     assert [(image.file, image.color_space) for image in told.textures] == [
         (image.file, image.color_space) for image in written.textures
     ]

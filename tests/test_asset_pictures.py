@@ -224,8 +224,9 @@ def test_the_glbs_are_valid(tmp_path: Path) -> None:
 
 # ---- the manifest --------------------------------------------------------------------------------------------------
 
-# 8 x 8 texels of coverage are 4, 1, 1 and 1 blocks of 8 bytes; 4 x 4 of lit 1, 1 and 1; of relief three times as many.
-BYTES = 7 * 8 + 3 * 8 + 3 * (16 + 8)
+# 8 x 8 texels of coverage and 2 mips are 4, 1 and 1 blocks of 8 bytes; 4 x 4 of lit and a mip 1 and 1; of relief three
+# times as many bytes.
+BYTES = 6 * 8 + 2 * 8 + 2 * (16 + 8)
 
 
 def test_bytes_are_those_of_what_drawing_looks_up() -> None:

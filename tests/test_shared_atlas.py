@@ -146,7 +146,7 @@ def test_a_tree_is_verified_by_its_own_views(works: Path) -> None:
         ),
         (
             ["--shared-atlas", "-o", "OUT", "--set", "views.atlas=64"],
-            "6 pictures need an atlas of 128 texels a side, and [views] atlas is 64; set it to 128, "
+            "6 pictures do not fit into an atlas of 64 texels a side; set [views] atlas = 128, "
             "or lower [views] texels, layers, count or side",
         ),
     ],

@@ -377,7 +377,6 @@ def test_from_far_away_slices_are_flat() -> None:
     assert row < 32
 
 
-@pytest.mark.xfail(strict=True, reason="within half a step of the range's ends a surface belongs to one step alone")
 def test_a_leaf_at_the_end_of_a_slices_depth_is_as_opaque_as_any() -> None:
     tree = leaf_tree([(0.5, 0, 0.7), (-0.5, 0, -0.7)], size=0.6)
     made = replace(slicings(tree, BAKE).slicings, brightness=0.0)
@@ -462,7 +461,9 @@ def test_a_tree_of_a_grove_is_the_tree_seen_from_elsewhere(tree: tuple[float, fl
     instead = View(view.to_clip @ to_world / scale, view.size, view.near, view.far)
     moved = drawn(baked_crown(), view, grove(tree))
     assert (moved[..., 3] > 0.2).sum() > 50
-    np.testing.assert_allclose(moved, drawn(baked_crown(), instead, ONE_TREE), atol=2e-3)
+    off = np.abs(moved - drawn(baked_crown(), instead, ONE_TREE))
+    assert off.mean() < 1e-4  # rounding may add a step through a slice, at a few pixels
+    assert off.max() < 0.05
 
 
 def test_in_a_grove_each_tree_is_near_or_far_for_itself() -> None:

@@ -219,7 +219,8 @@ def test_a_picture_is_upright() -> None:
     assert alpha.sum() < 1.4 * 16**2
 
 
-def test_depth_is_that_of_the_pictures_relief() -> None:
+def test_depth_is_that_of_the_pictures_relief(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("treebake.gl.views.RELIEF_HEIGHT", 0.0)  # as if it were near
     stepped = made(depth=lambda x: np.where(x < 0, -0.5, 0.5))
     depth = draw(stepped, from_afar(0.0, 0.0)).depth
     assert np.allclose(depth[28:36, 18:28], 20.25, atol=0.02)
@@ -230,7 +231,8 @@ RED = Material("red", base_color=(0.9, 0.0, 0.0, 1.0))
 BLUE = COLORS[[1] * 4] * np.uint8([0, 0, 1])
 
 
-def test_a_face_inside_the_tree_cuts_it() -> None:
+def test_a_face_inside_the_tree_cuts_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("treebake.gl.views.RELIEF_HEIGHT", 0.0)  # as if it were near
     stepped = made(depth=lambda x: np.where(x < 0, -0.5, 0.5), colors=BLUE)
     color = draw(stepped, from_afar(0.0, 0.0), quad(RED, x=(-0.5, 0.5), y=(-0.5, 0.5))).color
     assert (color[28:36, 18:28, 0] > 0.1).all()  # the tree is behind

@@ -21,7 +21,7 @@ StandIn = TypeVar("StandIn", Slicings, Views)
 
 _AZIMUTHS = 10  # views around the tree: with no usual number of orientations in step
 _HALF_VIEW = math.radians(17.5)  # that the tree's bounding sphere fills
-_MULTIPLIERS = np.linspace(0.0, 1.8, 3)  # at which the stand-in is drawn, and between which m is interpolated
+_MULTIPLIERS = np.linspace(0.0, 3.0, 4)  # at which the stand-in is drawn, and between which m is interpolated
 _EXPOSURES = (0.5, 2.0)
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
 
@@ -41,10 +41,10 @@ def fit_brightness(stand_in: StandIn, rest: Mesh, source: Mesh, height: int) -> 
         return stand_in
     drawn = []
     for multiplier in _MULTIPLIERS:
-        with closing(Drawing(rest, replace(stand_in, brightness=float(multiplier)))) as drawing:
+        with closing(Drawing(rest, replace(stand_in, brightness=float(multiplier), exposure=1.0))) as drawing:
             drawn.append([_seen(drawing, view) for view in views])
     areas, lights = np.moveaxis(np.array(drawn) / wanted, 2, 0)  # (multipliers, views) each
-    fine = np.linspace(_MULTIPLIERS[0], _MULTIPLIERS[-1], 201)
+    fine = np.linspace(_MULTIPLIERS[0], _MULTIPLIERS[-1], 301)
     errors = sum((np.interp(fine, _MULTIPLIERS, column) - 1) ** 2 for column in areas.T)
     multiplier = float(fine[int(np.argmin(errors))])
     light = np.mean([np.interp(multiplier, _MULTIPLIERS, column) for column in lights.T])

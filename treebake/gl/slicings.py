@@ -36,10 +36,10 @@ class SlicingCards:
         gl.enable(gl.BLEND)
         gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
         onto.depth_mask = False
-        away = np.linalg.norm(grove.places[:, :3] - view.eye, axis=1)
+        away = np.linalg.norm(grove.where(self._slicings.center) - view.eye, axis=1)
         near = self._slicings.height * grove.places[:, 3] * view.focus >= RELIEF_HEIGHT * away
         for shader, chosen in zip(self._programs, (~near, near), strict=True):
-            self._render(shader, view, Grove(grove.places[chosen], grove.turns[chosen]))
+            self._render(shader, view, grove.select(chosen))
         onto.depth_mask = True
 
     def count(self, view: View) -> None:
@@ -56,7 +56,7 @@ class SlicingCards:
             texture.release()
 
     def _blended(self, view: View, grove: Grove) -> int:
-        seen = view.eye - grove.places[:, :3] - self._slicings.center * grove.places[:, 3:]
+        seen = view.eye - grove.where(self._slicings.center)
         elevations = np.degrees(np.arctan2(seen[:, 1], np.linalg.norm(seen[:, ::2], axis=1)))
         return 3 if self._slicings.above and (elevations > _ABOVE).any() else 2
 
@@ -91,7 +91,7 @@ class SlicingCards:
         for name, value in values.items():
             if name in shader:
                 shader[name] = value
-        instances = gl.buffer(grove.sorted_from(view.eye))
+        instances = gl.buffer(grove.instances(view.eye, slicings.center))
         array = gl.vertex_array(shader, [(instances, "4f 2f/i", "in_place", "in_turn")])
         gl.disable(gl.CULL_FACE)
         array.render(moderngl.TRIANGLES, vertices=6 * self._quads(view, grove), instances=len(grove.turns))

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from treebake.model import Doubles, Floats
 
@@ -64,11 +65,22 @@ class Grove:
     places: Floats
     turns: Floats
 
-    def sorted_from(self, eye: Doubles) -> Floats:
-        """Instances for the shader, the farthest from `eye` first: (n, 6) float32."""
-        instances = np.column_stack([self.places, np.cos(self.turns), np.sin(self.turns)])
-        away = np.linalg.norm(self.places[:, :3] - eye, axis=1)
-        return np.asarray(instances[np.argsort(-away, kind="stable")], np.float32)
+    def where(self, point: Doubles) -> Doubles:
+        """The place of one point (3,) of the tree in the world, for each of the trees: (n, 3) float64."""
+        x, y, z = point
+        cosine, sine = np.cos(self.turns), np.sin(self.turns)
+        turned = np.stack([cosine * x + sine * z, np.full_like(cosine, y), cosine * z - sine * x], axis=1)
+        return np.asarray(self.places[:, :3] + self.places[:, 3:] * turned, np.float64)
+
+    def select(self, chosen: NDArray[np.bool_]) -> "Grove":
+        """Some of the trees: chosen (n,) bool."""
+        return Grove(self.places[chosen], self.turns[chosen])
+
+    def instances(self, eye: Doubles, center: Doubles) -> Floats:
+        """Rows for the shader, (n, 6) float32, the tree whose center is farthest from `eye` first."""
+        rows = np.column_stack([self.places, np.cos(self.turns), np.sin(self.turns)])
+        away = np.linalg.norm(self.where(center) - eye, axis=1)
+        return np.asarray(rows[np.argsort(-away, kind="stable")], np.float32)
 
 
 ONE_TREE = Grove(np.array([[0, 0, 0, 1]], np.float32), np.zeros(1, np.float32))

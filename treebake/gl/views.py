@@ -13,7 +13,7 @@ _TRIANGLES = 6  # of a card
 _FLAT_LAYERS = 9  # of all views together: what a vertex can tell its fragments
 
 # Pixels of a tree's height from which on each layer of a view is looked into; below it is flat.
-RELIEF_HEIGHT = 60.0
+RELIEF_HEIGHT = 56.0
 
 
 class ViewCards:
@@ -37,12 +37,12 @@ class ViewCards:
         onto.depth_mask = True
         gl.enable(gl.BLEND)
         gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
-        away = np.linalg.norm(grove.places[:, :3] - view.eye, axis=1)
+        away = np.linalg.norm(grove.where(views.center) - view.eye, axis=1)
         near = 2 * views.radius * grove.places[:, 3] * view.focus >= RELIEF_HEIGHT * away
         if (3 if views.layout == "hemi" else 2) * views.layers > _FLAT_LAYERS:
             near[:] = True
         for shader, chosen in zip(self._programs, (~near, near), strict=True):
-            self._render(shader, view, Grove(grove.places[chosen], grove.turns[chosen]))
+            self._render(shader, view, grove.select(chosen))
 
     def count(self, view: View) -> None:
         """Add the fragments that the card asks for to the framebuffer in use."""
@@ -81,7 +81,7 @@ class ViewCards:
         for name, value in values.items():
             if name in shader:
                 shader[name] = value
-        instances = gl.buffer(grove.sorted_from(view.eye))
+        instances = gl.buffer(grove.instances(view.eye, views.center))
         array = gl.vertex_array(shader, [(instances, "4f 2f/i", "in_place", "in_turn")])
         gl.disable(gl.CULL_FACE)
         array.render(moderngl.TRIANGLES, vertices=3 * _TRIANGLES, instances=len(grove.turns))

@@ -22,6 +22,7 @@ vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out 
     float half_lod = max(lod - 1.0, 0.0);
     float nearest = max(picture.range.x, picture.range.y);
     float thick = abs(picture.range.y - picture.range.x) / float(steps);
+    float farthest = nearest - (float(steps) - 0.5) * thick;
     float left = 1.0;  // of the ray's light
     height = 0.0;
     vec2 slope = vec2(0.0);
@@ -32,8 +33,9 @@ vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out 
         vec3 surface = textureLod(relief, uv, half_lod).rgb;
         float there = mix(picture.range.x, picture.range.y, surface.b);
         float part = textureLod(coverage, uv, lod).r;
-        // A depth between two steps belongs to both in parts, which add up to one.
-        part *= steps == 1 ? 1.0 : max(1.0 - abs(there - depth) / thick, 0.0);
+        // A depth between two steps belongs to both in parts, which add up to one; the first and last own their ends.
+        float off = abs(clamp(there, farthest, nearest - 0.5 * thick) - depth);
+        part *= steps == 1 ? 1.0 : max(1.0 - off / thick, 0.0);
         part = at == clamp(at, picture.bounds.xy, picture.bounds.zw) ? min(part, left) : 0.0;
         left -= part;
         height += part * there;

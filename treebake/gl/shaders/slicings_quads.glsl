@@ -48,7 +48,7 @@ void main() {
     int quad = gl_VertexID / 6;
     int step_ = quad / (blended * rectangles);
     int which = quad / rectangles % blended + 3 - blended;
-    float height = box_height * focus * tree_scale() / length(eye - in_place.xyz);
+    float height = box_height * focus / length(seen);
     bool far = height < far_height;
     if (far ? step_ > 0 : step_ < dropped) return;
     float most = max(weights.x, max(weights.y, weights.z));

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from treebake.model import Doubles, Ints, Leaves, Mesh
 
+_SHALLOW = 0.4  # depth of the foliage, in its largest leaf's length, below which a single slice holds it
 _SPACINGS = np.geomspace(0.4, 1, 96)  # that are tried, over the even division of the foliage's depth
 
 
@@ -37,7 +38,9 @@ def assign(foliage: Mesh, leaves: Leaves, center: Doubles, turn: Doubles, count:
     The slices stand at the one spacing at which leaves are moved least onto them, by area and squared distance.
     """
     along = (leaves.centers - center) @ turn[2]
-    reach = 2 * float(np.abs(along).max()) or 1.0
+    reach, leaf = 2 * float(np.abs(along).max()), 2 * float(leaves.radii.max())
+    if reach < _SHALLOW * leaf:  # nothing to slice, and no spacing that makes the leaves large ones
+        reach = leaf * count / float(_SPACINGS[0])
     moved = [_moved(along, leaves.areas, reach / count * share, count) for share in _SPACINGS]
     spacing = reach / count * float(_SPACINGS[int(np.argmin(moved))])
     corners = ((foliage.positions.astype(np.float64) - center) @ turn[2])[foliage.faces]

@@ -24,7 +24,7 @@ class SlicingSettings:
     """How the foliage is sliced."""
 
     enabled: bool = True  # bake slicings
-    orientations: int = 6  # slicings around the tree, evenly spaced, 2 to 64
+    orientations: int = 6  # slicings around the tree, evenly spaced, 4 to 64
     slices: int = 5  # of each slicing, 1 to 64
     texels: int = 256  # of a slice's longer side, 16 to 1024
     above: bool = True  # one more slicing, seen from above
@@ -95,7 +95,7 @@ def _check(settings: SlicingSettings) -> None:
         return least <= value <= most and value & (value - 1) == 0
 
     for name, valid, hint in (
-        ("orientations", 2 <= settings.orientations <= 64, "2 to 64, for example 6"),
+        ("orientations", 4 <= settings.orientations <= 64, "4 to 64, for example 6"),
         ("slices", 1 <= settings.slices <= 64, "1 to 64, for example 5"),
         ("texels", 16 <= settings.texels <= 1024, "16 to 1024, for example 256"),
         ("far_texels", 16 <= settings.far_texels <= 1024, "16 to 1024, for example 64"),
