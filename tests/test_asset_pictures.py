@@ -78,7 +78,7 @@ def foliage() -> SlicedFoliage:
         orientations=2,
         count=3,
         center=np.array([0.1, 2.3, -0.7]),
-        height=1.7,
+        size=1.7,
         above=True,
         far_row=9,
         far_height=32.0,
@@ -245,7 +245,7 @@ def test_the_manifest_says_what_the_slicings_are(tmp_path: Path) -> None:
         "triangles": 2 * 3 * 2 * 2,  # two slicings of three slices, two rectangles each
         "trunk_triangles": 2,
         "texels_kept": 0.64,
-        "gpu_bytes": BYTES,
+        "gpu_bytes": BYTES + foliage().slicings.slices.nbytes,
     }
 
 
@@ -257,7 +257,7 @@ def test_the_manifest_says_where_each_picture_is_and_whence_it_was_taken(
     found = write_asset(baked(views=made), tmp_path).views
     assert found is not None
     assert (found.file, found.layout, found.layers, found.triangles) == ("oak_views.glb", layout, 2, 6)
-    assert found.gpu_bytes == BYTES
+    assert found.gpu_bytes == BYTES + made.views.pictures.nbytes
     assert read_asset(tmp_path).manifest.views == found
     frames = ring(side) if layout == "ring" else hemi_octahedron(side)
     assert len(found.pictures) == 2 * len(frames)
@@ -339,7 +339,7 @@ def test_views_that_trees_share_are_in_one_file_that_each_manifest_names(tmp_pat
         assert entry is not None
         assert entry.file == SHARED.as_posix()
         assert (asset.folder / entry.file).resolve() == path.resolve()
-        assert entry.gpu_bytes == BYTES
+        assert entry.gpu_bytes == BYTES + made.views.pictures.nbytes
         assert not list((tmp_path / name).rglob("*views*"))
         assert_same(read_views(asset.folder / entry.file, name), made.views)
         drawn = representations(asset, {64}, replace(VerifySettings(), representations=("views",)))
@@ -534,7 +534,7 @@ def test_views_that_hold_no_numbers_are_refused(tmp_path: Path, name: str, value
         read_views(path, "oak")
 
 
-@pytest.mark.parametrize("name", ["brightness", "exposure", "center", "height", "far_height"])
+@pytest.mark.parametrize("name", ["brightness", "exposure", "center", "size", "far_height"])
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_slicings_that_hold_no_numbers_are_refused(tmp_path: Path, name: str, value: float) -> None:
     told = [0.0, value, 0.0] if name == "center" else value

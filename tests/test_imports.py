@@ -18,6 +18,7 @@ LAYERS = {
         "flatten",
         "packing",
         "coverage",
+        "checks",
         "placements",
         "lookup",
         "resources",

@@ -1,15 +1,18 @@
 """Pictures in one atlas: packed apart, cut to what they show, and put together so that no mip mixes in what is not
 there."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from treebake.errors import BudgetError
 from treebake.gl.photo import Photo
 from treebake.images import mip_chain, to_linear
 from treebake.model import Bytes, Floats, Ints, PictureAtlas
-from treebake.pictures import CELL, Part, compose, covered, enough_for, pack_pictures, trimmed
+from treebake.pictures import CELL, Part, compose, covered, pack_pictures, place_pictures, trimmed
 
 SIZES = st.lists(st.tuples(st.integers(0, 60), st.integers(0, 60)), min_size=1, max_size=20)
 GUTTERS = st.sampled_from([1, 2, 4, 8, 16])
@@ -28,7 +31,8 @@ def photo(alpha: object, lit: object = 0.0, albedo: object = 0.0, relief: object
 
 
 def whole(picture: Photo, x: int, y: int) -> Part:
-    return Part(picture, (slice(None), slice(None)), (x, y))
+    height, width = picture.lit.shape[:2]
+    return Part(picture, (slice(0, height), slice(0, width)), (x, y))
 
 
 def grey(atlas: PictureAtlas) -> Bytes:
@@ -64,8 +68,9 @@ def test_pictures_lie_apart_inside_the_atlas_on_whole_blocks(
         assert gutter <= y <= height - gutter - h
         taken[y - gutter : y + h + gutter, x - gutter : x + w + gutter] += 1
     assert taken.max() == 1
-    assert taken[-CELL:].any()  # no row or column of blocks is there for nothing
-    assert taken[:, -CELL:].any()
+    assert (width % gutter, height % gutter) == (0, 0)  # halves as often as the mips that stay clean
+    assert taken[-max(CELL, gutter) :].any()  # no row or column of blocks is there for nothing
+    assert taken[:, -max(CELL, gutter) :].any()
 
 
 @settings(deadline=None)
@@ -101,17 +106,22 @@ def test_no_pictures_need_one_block() -> None:
     packed = pack_pictures(pictures(), 8, 64)
     assert packed is not None
     assert packed[0].shape == (0, 2)
-    assert packed[1] == (CELL, CELL)
+    assert packed[1] == (8, 8)
 
 
 @settings(deadline=None)
 @given(SIZES, GUTTERS)
-def test_enough_is_enough_and_half_of_it_is_not(sizes: list[tuple[int, int]], gutter: int) -> None:
-    enough = enough_for(pictures(*sizes), gutter)
-    assert enough >= 64
+def test_the_atlas_that_is_proposed_is_large_enough_and_half_of_it_is_not(
+    sizes: list[tuple[int, int]], gutter: int
+) -> None:
+    with pytest.raises(BudgetError) as caught:
+        place_pictures(pictures(*sizes, (64, 64)), gutter, 64, "views", "texels")
+    found = re.search(r"set \[views\] atlas = (\d+), or lower \[views\] texels", str(caught.value))
+    assert found
+    enough = int(found[1])
     assert enough & (enough - 1) == 0
-    assert pack_pictures(pictures(*sizes), gutter, enough) is not None
-    assert enough == 64 or pack_pictures(pictures(*sizes), gutter, enough // 2) is None
+    assert pack_pictures(pictures(*sizes, (64, 64)), gutter, enough) is not None
+    assert pack_pictures(pictures(*sizes, (64, 64)), gutter, enough // 2) is None
 
 
 # ---- cut -----------------------------------------------------------------------------------------------------------
@@ -151,12 +161,12 @@ def test_coverage_is_kept_to_the_texel() -> None:
     assert (atlas.coverage.pixels[..., 3] == 255).all()
 
 
-def test_only_the_part_that_is_asked_for_is_put_in() -> None:
+def test_a_part_is_put_in_with_what_is_around_it_in_the_gutter() -> None:
     alpha = np.arange(20).reshape(4, 5) / 20
     part = Part(photo(alpha), (slice(1, 3), slice(2, 5)), (4, 8))
     pixels = grey(compose([part], (12, 12), 1, "views"))
-    assert (pixels[8:10, 4:7] == np.rint(alpha[1:3, 2:5] * 255)).all()
-    assert np.count_nonzero(pixels) == 6
+    assert (pixels[7:11, 3:7] == np.rint(alpha[0:4, 1:5] * 255)).all()  # at the photo's edge there is nothing more
+    assert np.count_nonzero(pixels) == 4 * 4
 
 
 def test_the_images_are_named_and_the_others_half_as_large() -> None:

@@ -164,7 +164,7 @@ def test_called_wrongly_is_one_line_and_publishes_nothing(
 
 def test_two_trees_of_one_name_are_one_line(works: Path, tmp_path: Path) -> None:
     result = treebake("textures", works / "work_a", works / "work_a", "--shared-atlas", "-o", tmp_path, *QUICK, "-q")
-    says = "treebake: error: two trees are named a; rename one of the files, for each has a folder of its own"
+    says = "treebake: error: two trees are named a; rename one of the files: each has a folder in OUT"
     assert (result.code, result.lines) == (2, [says])
     assert not list(tmp_path.iterdir())
 

@@ -182,7 +182,7 @@ def test_the_table_starts_with_the_front_and_goes_round_to_the_right() -> None:
 def test_what_is_said_of_the_slicings() -> None:
     made, tree = baked().slicings, two_colors()
     np.testing.assert_allclose(made.center, tree.foliage.bounds.mean(axis=0), atol=1e-6)
-    assert made.height == pytest.approx(np.ptp(tree.foliage.bounds[:, 1]))
+    assert made.size == pytest.approx(np.ptp(tree.foliage.bounds, axis=0).max())
     assert (made.orientations, made.count, made.above, made.dropped) == (4, 3, True, 0)
     assert made.atlas.mips == 1  # of a gutter of two texels
     kept = sum((b[2] - b[0]) * (b[3] - b[1]) / row.texel**2 for row in all_rows(made) for b, _ in row.rectangles)

@@ -83,7 +83,7 @@ class Cards:
             orientations=self.orientations,
             count=self.count,
             center=np.zeros(3),
-            height=2.0,
+            size=2.0,
             above=self.above,
             far_row=len(self.turns) * self.count,
             far_height=self.far_height,

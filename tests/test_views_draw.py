@@ -349,8 +349,6 @@ def test_no_two_triangles_of_a_card_show_the_same_pixel(name: str, elevation: fl
 def test_a_card_is_six_triangles_and_an_octagon() -> None:
     found = made()
     found = replace(found, support=np.full(33, 0.5, np.float32), radius=0.5)
-    with closing_cards(found) as cards:
-        assert cards.triangles(FRONT) == 6
     assert (cost_of(empty(), found).triangles, cost_of(empty(), found).draw_calls) == (6, 1)
     area = fragments(found, from_afar(0.0, 0.0, distance=200.0)).sum() / (PIXELS / 2) ** 2
     assert area == pytest.approx(8 * np.tan(np.pi / 8) * 0.5**2, rel=0.03)  # about the circle

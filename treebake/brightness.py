@@ -37,8 +37,10 @@ def fit_brightness(stand_in: StandIn, rest: Mesh, source: Mesh, height: int) -> 
     views = [_around(middle, radius, 360.0 * step / _AZIMUTHS, height) for step in range(_AZIMUTHS)]
     with closing(Drawing(source, exact_cutouts=True)) as drawing:
         wanted = np.array([_seen(drawing, view) for view in views])
-    if not wanted.all():
+    shown = np.flatnonzero(wanted.all(axis=1))  # a leaf seen from its edge shows nothing
+    if not len(shown):
         return stand_in
+    views, wanted = [views[i] for i in shown], wanted[shown]
     drawn = []
     for multiplier in _MULTIPLIERS:
         with closing(Drawing(rest, replace(stand_in, brightness=float(multiplier), exposure=1.0))) as drawing:

@@ -187,7 +187,7 @@ def textures(
     terminal: Terminal, settings: "Settings", works: tuple[Path, ...], out: Path | None, shared: bool, force: bool
 ) -> None:
     """Bake each clustered WORK folder: atlas, indirect textures, slicings, views, trunk; and publish the assets."""
-    from treebake.pipeline import bake_shared, bake_textures
+    from treebake.pipeline import bake_shared, bake_textures, distinct_names
     from treebake.summary import of_baked
     from treebake.workspace import Workspace
 
@@ -197,6 +197,8 @@ def textures(
             raise click.UsageError("--shared-atlas needs a folder for what the trees share; name it with -o OUT")
         baked = bake_shared(folders, out, settings)
     else:
+        if out:
+            distinct_names(folders)
         baked = [bake_textures(work, out, settings) for work in folders]
     facts = {str(each.folder): {"asset": str(each.folder), **of_baked(each)} for each in baked}
     terminal.show(next(iter(facts.values())) if len(facts) == 1 else facts)

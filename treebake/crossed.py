@@ -9,7 +9,7 @@ from treebake.errors import BudgetError
 from treebake.gl.photo import Photo, Shot
 from treebake.images import color_texels, normal_texels
 from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Mesh, Texture
-from treebake.pictures import STEEPEST, covered, pack_pictures, trimmed
+from treebake.pictures import MOST_ATLAS, STEEPEST, covered, pack_pictures, trimmed
 
 _CUTOFF = 0.5
 _GUTTER = 2
@@ -24,9 +24,11 @@ def crossed_cards(shots: Sequence[Shot], photos: Sequence[Photo], depths: Double
     crops = np.array([trimmed(covered(photo)) for photo in photos], np.int32).reshape(-1, 4)
     shown = np.flatnonzero(crops[:, 2] > crops[:, 0]).tolist()
     crops, turns = crops[shown], np.array([shots[i].turn for i in shown]).reshape(-1, 3, 3)
-    packed = pack_pictures(crops[:, 2:] - crops[:, :2], _GUTTER, 1 << 14)
+    packed = pack_pictures(crops[:, 2:] - crops[:, :2], _GUTTER, MOST_ATLAS)
     if packed is None:
-        raise BudgetError(f"the standard cards of the {name} need more than 16384 texels a side; lower [{name}] texels")
+        raise BudgetError(
+            f"the standard cards of the {name} need more than 16384 texels a side; lower the texels of the pictures"
+        )
     origins, used = packed
     width, height = (1 << max(side - 1, 1).bit_length() for side in used)  # what shaping asks for
     albedo, normal = np.zeros((height, width, 4), np.float32), np.zeros((height, width, 3), np.float32)

@@ -264,8 +264,8 @@ class Slicings:
     slices: (S, 3 + 2 R, 4) float32, a row per slice as `asset/FORMAT.md` tells: frame and depth range, then R
     rectangles. Slicing after slicing, around the tree from +Z towards +X and then the one seen from above, the furthest
     slice first; then, from row `far_row` on, once more with one slice each.
-    count: slices of a slicing. center: (3,) float64, shared by all slicings. height: of the slicing box. above: whether
-    there is a slicing seen from above. far_height: pixels of the box's height below which one slice is drawn.
+    count: slices of a slicing. center: (3,) float64, shared by all slicings. size: greatest extent of the foliage.
+    above: whether there is a slicing seen from above. far_height: pixels of that size below which one slice is drawn.
     dropped: of the furthest slices, not drawn. brightness: m of the correction 1 + m alpha_s. exposure: factor of the
     lit colours. untrimmed: texels of all slices before empty parts were cut off.
     """
@@ -274,7 +274,7 @@ class Slicings:
     orientations: int
     count: int
     center: Doubles
-    height: float
+    size: float
     above: bool
     far_row: int
     far_height: float
@@ -283,6 +283,16 @@ class Slicings:
     exposure: float
     atlas: PictureAtlas
     untrimmed: int
+
+    @property
+    def rectangles(self) -> int:
+        """R, the rectangles that a slice is trimmed to."""
+        return int(self.slices.shape[1] - 3) // 2
+
+    @property
+    def triangles(self) -> int:
+        """How many are drawn for a tree seen from aside: two slicings."""
+        return 2 * 2 * self.count * self.rectangles
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,6 +330,11 @@ class Views:
     brightness: float
     exposure: float
     atlas: PictureAtlas
+
+    @property
+    def triangles(self) -> int:
+        """Of the card, whose outline has 8 corners."""
+        return 6
 
 
 Layers = IndirectTextures | Slicings | Views  # what a shader of ours draws

@@ -1,7 +1,7 @@
 """The order of the stages, on one screen.
 
     load -> split -> twigs -> cluster, twice                `cluster_tree`: a mesh file into the work folder
-            -> indirect, billboards, trunk, slicings, views
+            -> views, indirect, slicings, billboards, trunk
             -> write_asset                                  `bake_textures`: the work folder into the published one
 
 The verifier stands apart: it reads published files only.
@@ -126,11 +126,7 @@ def bake_shared(works: Sequence[Workspace], out: Path, settings: Settings) -> li
 
     Raises what `bake_textures` raises, and SettingsError where two trees have the same name or views are not baked.
     """
-    names = [_source(work).name for work in works]
-    if twice := {name for name in names if names.count(name) > 1}:
-        raise SettingsError(
-            f"two trees are named {min(twice)}; rename one of the files, for each has a folder of its own"
-        )
+    names = distinct_names(works)
     if SHARED in names:
         raise SettingsError(f"a tree is named {SHARED}, as the folder of what the trees share; rename its file")
     if not settings.views.enabled:
@@ -148,6 +144,14 @@ def bake_shared(works: Sequence[Workspace], out: Path, settings: Settings) -> li
     ]
 
 
+def distinct_names(works: Sequence[Workspace]) -> list[str]:
+    """The names of the trees in the work folders. Raises SettingsError where two are the same."""
+    names = [_source(work).name for work in works]
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise SettingsError(f"two trees are named {min(twice)}; rename one of the files: each has a folder in OUT")
+    return names
+
+
 def _publish(
     work: Workspace, folder: Path, settings: Settings, impostor: Impostor | None, shared: Path | None
 ) -> Baked:
@@ -158,7 +162,7 @@ def _publish(
     sliced: SlicedFoliage | None = None
     if tree.value.leaves.count:
         leaves = tree.part("leaves")
-        if settings.indirect.enabled:  # the quicker ones first: they may find that something does not fit
+        if settings.indirect.enabled:  # before the atlas, the slowest: they may find that something does not fit
             clusters = work.read(_INDIRECT_CLUSTER, command, leaves)
             layers = work.run(indirect, settings.indirect, tree, clusters).value
         if settings.slicings.enabled:

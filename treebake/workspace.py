@@ -33,6 +33,7 @@ _GROUND = (
     "flatten",
     "packing",
     "coverage",
+    "checks",
     "placements",
     "lookup",
     "images",

@@ -60,7 +60,7 @@ class SlicingsExtras:
     orientations: Count
     count: Count  # slices of a slicing
     center: Point
-    height: Length
+    size: Length
     above: bool
     far_row: Index
     far_height: float

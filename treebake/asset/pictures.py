@@ -26,11 +26,11 @@ def write_slicings(path: Path, foliage: SlicedFoliage) -> None:
     where = {
         "atlas": _atlas_extras(slicings.atlas),
         "slices": slicings.slices.reshape(-1, 4),
-        "rectangles": (slicings.slices.shape[1] - 3) // 2,
+        "rectangles": slicings.rectangles,
         "orientations": slicings.orientations,
         "count": slicings.count,
         "center": slicings.center.tolist(),
-        "height": slicings.height,
+        "size": slicings.size,
         "above": slicings.above,
         "far_row": slicings.far_row,
         "far_height": slicings.far_height,

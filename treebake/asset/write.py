@@ -16,7 +16,6 @@ from treebake.glb import write_glb
 from treebake.images import encode_floats, encode_png, encode_texture
 from treebake.model import BakedTree, Impostor, IndirectTextures, Mesh, PictureAtlas, SlicedFoliage, Texture, Views
 
-_CARD = 6  # triangles of a view's card
 SHARED = "shared_views"  # folder and file of the views of trees that share an atlas
 
 
@@ -50,11 +49,11 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
         images += _write_atlas(folder, tree.name, tree.slicings.slicings.atlas)
         slicings = _slicings_entry(path.name, tree.slicings)
     if tree.views is not None:
-        path = folder / (shared or f"{tree.name}_views.glb")
+        beside = shared or Path(f"{tree.name}_views.glb")
         if shared is None:
-            write_views(path, [(tree.name, tree.views)])
+            write_views(folder / beside, [(tree.name, tree.views)])
             images += _write_atlas(folder, tree.name, tree.views.views.atlas)
-        views = _views_entry((shared or Path(path.name)).as_posix(), tree.views.views)
+        views = _views_entry(beside.as_posix(), tree.views.views)
     manifest = Manifest(
         format=FORMAT,
         generator=f"treebake {__version__}",
@@ -98,10 +97,10 @@ def _slicings_entry(file: str, foliage: SlicedFoliage) -> SlicingsEntry:
         file=file,
         slicings=slicings.orientations + slicings.above,
         slices=slicings.count,
-        triangles=2 * 2 * slicings.count * ((slicings.slices.shape[1] - 3) // 2),
+        triangles=slicings.triangles,
         trunk_triangles=foliage.solid.triangles,
         texels_kept=round(slicings.atlas.coverage.pixels[..., 0].size / slicings.untrimmed, 4),
-        gpu_bytes=atlas_bytes(slicings.atlas),
+        gpu_bytes=atlas_bytes(slicings.atlas) + slicings.slices.nbytes,
     )
 
 
@@ -114,8 +113,8 @@ def _views_entry(file: str, views: Views) -> ViewsEntry:
         file=file,
         layout=views.layout,
         layers=views.layers,
-        triangles=_CARD,
-        gpu_bytes=atlas_bytes(views.atlas),
+        triangles=views.triangles,
+        gpu_bytes=atlas_bytes(views.atlas) + views.pictures.nbytes,
         pictures=tuple(
             Picture(round(float(azimuth) % 360, 4), round(float(elevation), 4), number % views.layers, tuple(uv))
             for number, (azimuth, elevation, uv) in enumerate(

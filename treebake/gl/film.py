@@ -11,7 +11,7 @@ class Film:
     """Framebuffers of one size, (width, height) texels of factor x factor samples, with `count` images of RGBA."""
 
     def __init__(self, gl: moderngl.Context, size: tuple[int, int], factor: int, count: int) -> None:
-        self._gl, self._size, self._factor = gl, size, factor
+        self._gl, self.size, self._factor = gl, size, factor
         finer = size[0] * factor, size[1] * factor
         self._images = [gl.texture(finer, 4, dtype="f2") for _ in range(count)]
         self._samples = gl.framebuffer(self._images, gl.depth_renderbuffer(finer))
@@ -30,7 +30,7 @@ class Film:
         self._gl.enable_only(moderngl.NOTHING)
         shader = self._array.program
         shader["samples"], shader["factor"] = 0, self._factor
-        width, height = self._size
+        width, height = self.size
         found = []
         for image in self._images:
             image.use(0)

@@ -71,14 +71,13 @@ class _Studio:
             (upload_plain(gl, m.color_map, srgb=True), upload_plain(gl, m.normal_map, srgb=False))
             for m in mesh.materials
         ]
-        self._films: dict[tuple[int, int, int], Film] = {}
+        self._film: Film | None = None  # of the last shot's size; shots of one slicing have the same
 
     def take(self, shot: Shot, supersample: int) -> Photo:
         shader = self._program
-        key = *shot.size, supersample
-        if key not in self._films:
-            self._films[key] = Film(self._gl, shot.size, supersample, count=3)
-        film = self._films[key]
+        if self._film is None or self._film.size != shot.size:
+            self._film = Film(self._gl, shot.size, supersample, count=3)
+        film = self._film
         film.expose()
         shader["to_clip"] = column_major(_parallel(shot))
         shader["turn"] = column_major(shot.turn)
@@ -88,7 +87,7 @@ class _Studio:
             self._draw(faces)
         self._gl.cull_face = "back"
         lit, albedo, relief = film.develop()
-        return Photo(lit, albedo[..., :3], relief[..., :3])
+        return Photo(lit, np.ascontiguousarray(albedo[..., :3]), np.ascontiguousarray(relief[..., :3]))
 
     def _draw(self, faces: Ints) -> None:
         if not len(faces):

@@ -9,7 +9,6 @@ from treebake.compression import block_bytes
 from treebake.model import IndirectTextures, Layers, Mesh, Slicings, Texture
 
 _BOX = 12  # triangles of a thick billboard
-_CARD = 6  # of a view impostor
 _BLOCK = 16  # bytes of 4 x 4 texels: BC3, BC5 or BC7
 
 
@@ -36,10 +35,9 @@ def cost_of(mesh: Mesh, layers: Layers | None = None) -> Cost:
         return cost
     if isinstance(layers, IndirectTextures):
         triangles, size = _BOX * len(layers.billboards), indirect_bytes(layers)
-    elif isinstance(layers, Slicings):
-        triangles, size = 2 * 2 * layers.count * ((layers.slices.shape[1] - 3) // 2), atlas_bytes(layers.atlas)
     else:
-        triangles, size = _CARD, atlas_bytes(layers.atlas)
+        table = layers.slices if isinstance(layers, Slicings) else layers.pictures
+        triangles, size = layers.triangles, atlas_bytes(layers.atlas) + table.nbytes
     return Cost(cost.triangles + triangles, cost.draw_calls + 1, cost.gpu_bytes + size)
 
 

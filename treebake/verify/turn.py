@@ -38,7 +38,7 @@ def turn(
     layers: Layers | None,
     height: int,
     frames: int,
-    done: Callable[[int], None] = lambda _frames: None,
+    done: Callable[[int], None],
 ) -> Turn:
     """Draw both from every frame's view and compare. O(frames (faces + pixels)). Raises GraphicsError."""
     views = [camera.view(height) for camera in cameras(source, (0.0,), frames)]

@@ -49,12 +49,11 @@ vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out 
     slope = (slope / max(sum, 1e-6) * 2.0 - 1.0) * STEEPEST;
     if (picture.range.x > picture.range.y) slope.y = -slope.y;
     float turned = abs(dot(vec3(slope, 1.0), normalize(vec3(way, 1.0))));
-    sum = 1.0 - pow(1.0 - sum, turned);
+    sum = 1.0 - pow(1.0 - sum, max(turned, 1e-3));
     return sum * vec4(color, 1.0);
 }
 
-// The mip of the coverage where a pixel is as wide as dx and dy.
-float lod_of(Picture picture, vec2 dx, vec2 dy) {
-    vec2 texels = (picture.texels.zw - picture.texels.xy) / (picture.bounds.zw - picture.bounds.xy) * vec2(textureSize(coverage, 0));
-    return max(0.5 * log2(max(dot(dx * texels, dx * texels), dot(dy * texels, dy * texels))), 0.0);
+// The mip of the coverage where a place changes by dx and dy from pixel to pixel. density: texels to a unit.
+float lod_of(vec2 dx, vec2 dy, float density) {
+    return max(0.5 * log2(max(max(dot(dx, dx), dot(dy, dy)) * density * density, 1e-12)), 0.0);
 }

@@ -22,9 +22,10 @@ layout(location = 1) out vec4 depth;
 
 void main() {
     float height;
+    float density = (texels.z - texels.x) / (bounds.z - bounds.x) * float(textureSize(coverage, 0).x);
     vec2 way = (viewer.xy - place) / viewer.z;
     Picture picture = Picture(bounds, texels, range, 0.0);
-    vec4 found = look_into(picture, place, way, lod_of(picture, dFdx(place), dFdy(place)), steps, height);
+    vec4 found = look_into(picture, place, way, lod_of(dFdx(place), dFdy(place), density), steps, height);
     if (found.a == 0.0) discard;
     vec4 clip = to_clip * vec4(origin + frame * vec3(place + way * height, height), 1.0);
     gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;

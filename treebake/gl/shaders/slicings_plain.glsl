@@ -17,7 +17,9 @@ layout(location = 1) out vec4 depth;
 void main() {
     vec2 uv = texels.xy + (place - bounds.xy) / (bounds.zw - bounds.xy) * (texels.zw - texels.xy);
     bool inside = place == clamp(place, bounds.xy, bounds.zw);
-    color = inside ? vec4(texture(lit, uv).rgb * exposure, 1.0) * (texture(coverage, uv).r * opacity) : vec4(0.0);
+    vec3 light = exposure * texture(lit, uv).rgb;
+    float covered = texture(coverage, uv).r;
+    color = inside ? vec4(light, 1.0) * (covered * opacity) : vec4(0.0);
     depth = vec4(color.a / gl_FragCoord.w, 0.0, 0.0, color.a);
 }
 #endif

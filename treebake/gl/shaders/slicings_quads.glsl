@@ -1,5 +1,5 @@
 // Places the quads of slicings, of many trees in one call: for each tree the two nearest the viewer, and from above a third, blended
-// ([J00] 2.3). Quads come furthest slice first, in each step those of the weakest slicing first.
+// ([J00] 2.3). Quads come furthest slice first, in each step that of the slicing seen from above, of the secondary one, of the primary one.
 #ifdef VERTEX_STAGE
 uniform mat4 to_clip;
 uniform vec3 eye;
@@ -10,8 +10,8 @@ uniform int rectangles;   // of a slice
 uniform int blended;      // slicings drawn for each tree: 2, or 3 where one seen from above is among them
 uniform int dropped;      // of the furthest slices
 uniform int far_row;      // where slicings of one slice each start
-uniform float far_height; // pixels of the slicing box below which those are drawn
-uniform float box_height;
+uniform float far_height; // pixels of the foliage's size below which those are drawn
+uniform float size;       // of the foliage
 uniform float brightness;
 uniform float focus;      // pixels that a unit takes up at a distance of one
 uniform sampler2D slices;
@@ -48,14 +48,14 @@ void main() {
     int quad = gl_VertexID / 6;
     int step_ = quad / (blended * rectangles);
     int which = quad / rectangles % blended + 3 - blended;
-    float height = box_height * focus / length(seen);
-    bool far = height < far_height;
+    float pixels = focus / length(seen);  // that a unit takes up
+    bool far = size * pixels < far_height;
     if (far ? step_ > 0 : step_ < dropped) return;
     float most = max(weights.x, max(weights.y, weights.z));
     opacity = min((1.0 + brightness * (1.0 - most)) * weights[which], 1.0);
     if (opacity <= 0.0) return;
 
-    int slicing = which == 0 ? orientations : int(mod(which == 1 ? next : nearest, float(orientations)));
+    int slicing = which == 0 ? orientations : (int(which == 1 ? next : nearest) + 2 * orientations) % orientations;
     int row = far ? far_row + slicing : slicing * count + step_;
     vec4 right = texelFetch(slices, ivec2(0, row), 0);
     vec4 up = texelFetch(slices, ivec2(1, row), 0);
@@ -71,7 +71,7 @@ void main() {
 
     vec2 farthest = max(abs(bounds.xy - viewer.xy), abs(bounds.zw - viewer.xy));
     float shift = (before - behind) * length(farthest) / viewer.z;
-    steps = clamp(int(ceil(shift * height / box_height / STEP)), 1, MOST_STEPS);
+    steps = clamp(int(ceil(shift * pixels / STEP)), 1, MOST_STEPS);
     // What lies before or behind the plane is seen beside its place: the rectangle is widened by that.
     vec4 off = bounds - viewer.xyxy;
     vec4 nearer = off * before / (viewer.z - before);

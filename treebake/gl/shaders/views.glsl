@@ -4,6 +4,7 @@
 #ifdef FRAGMENT_STAGE
 uniform mat4 to_clip;
 uniform bool hemi;
+uniform float density;      // texels of a unit
 uniform int layers;         // of a view, one behind the other
 uniform float brightness;   // m of the correction 1 + m alpha_s, as for slicings
 uniform float exposure;     // of the lit colours
@@ -39,13 +40,14 @@ vec4 look_at(int view, out vec3 seen) {
     vec2 way = (from.xy - at.xy) / max(from.z - at.z, 1e-3 * length(from));
     way *= min(1.0, OBLIQUE / max(length(way), 1e-6));
     vec2 place = at.xy - way * at.z;
-    Picture first = Picture(entry(3, row), entry(4, row), vec2(0.0), 0.0);  // all layers have texels of one size
-    float lod = lod_of(first, dFdx(place), dFdy(place));
+    float lod = lod_of(dFdx(place), dFdy(place), density);
     vec4 sum = vec4(0.0);
     seen = vec3(0.0);
     for (int end = row + layers; row < end; ++row) {
+        vec4 bounds = entry(3, row);
+        if (bounds.x == bounds.z) continue;  // shows nothing
         vec2 range = vec2(entry(1, row).w, entry(2, row).w);
-        Picture picture = Picture(entry(3, row), entry(4, row), range, 0.5 * (range.x + range.y));
+        Picture picture = Picture(bounds, entry(4, row), range, 0.5 * (range.x + range.y));
         float shift = (range.y - range.x) * length(way) * pixels;
         float height;
         int steps = clamp(int(ceil(shift / STEP)), 1, MOST_STEPS);

@@ -36,7 +36,10 @@ void look_up() {
         mat3 frame = mat3(texelFetch(pictures, ivec2(0, row), 0).xyz, texelFetch(pictures, ivec2(1, row), 0).xyz,
                           texelFetch(pictures, ivec2(2, row), 0).xyz);
         float plane = 0.5 * (texelFetch(pictures, ivec2(1, row), 0).w + texelFetch(pictures, ivec2(2, row), 0).w);
+        uv[i] = vec2(0.0);
+        limits[i] = vec4(1.0, 1.0, 0.0, 0.0);  // nothing is inside
         vec4 bounds = texelFetch(pictures, ivec2(3, row), 0);
+        if (bounds.x == bounds.z) continue;
         vec4 texels = texelFetch(pictures, ivec2(4, row), 0);
         vec3 from = viewer * frame;
         vec3 at = point * frame;
@@ -68,7 +71,7 @@ void choose(vec3 way) {
     if (!hemi) {
         float around = atan(way.x, way.z) / TAU * float(side);
         float first = floor(around);
-        chosen = ivec3(int(mod(first, float(side))), int(mod(first + 1.0, float(side))), 0);
+        chosen = (ivec3(int(first)) + ivec3(0, 1, 0) + 2 * side) % side;
         shares = vec3(1.0 - (around - first), around - first, 0.0);
         return;
     }

@@ -27,9 +27,10 @@ void main() {
         vec4 found = vec4(0.0);
         for (int layer = 0; layer < layers; ++layer) {
             int n = i * layers + layer;
-            vec2 at = clamp(uv[n], limits[n].xy, limits[n].zw);
-            float covered = at == uv[n] ? texture(coverage, at).r : 0.0;
-            found += (1.0 - found.a) * covered * vec4(texture(lit, at).rgb, 1.0);
+            bool inside = uv[n] == clamp(uv[n], limits[n].xy, limits[n].zw);
+            vec3 light = texture(lit, uv[n]).rgb;
+            float covered = texture(coverage, uv[n]).r;
+            if (inside) found += (1.0 - found.a) * covered * vec4(light, 1.0);
         }
         found *= min(correction * shares[i], 1.0);
         sum += found;

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from treebake.errors import BudgetError
 from treebake.gl.photo import Photo
-from treebake.model import Floats, Ints, PictureAtlas
-from treebake.pictures import Part, advice, compose, covered, pack_pictures
+from treebake.model import Floats, PictureAtlas
+from treebake.pictures import Part, compose, covered, place_pictures
 from treebake.stages.slicings.mirror import seen_from_behind
 from treebake.stages.slicings.shots import Slice
 from treebake.stages.slicings.trim import trim
@@ -30,7 +29,9 @@ def layout(
     found[list(mirrored)] = 0
     row, column = np.nonzero(found[..., 2] > found[..., 0])
     used = found[row, column]
-    origins, size = _packed(used, gutter, limit)
+    origins, size = place_pictures(
+        used[:, 2:] - used[:, :2], gutter, limit, "slicings", "texels, slices or orientations"
+    )
     parts = (
         Part(photos[number], (slice(top, bottom), slice(left, right)), (int(x), int(y)))
         for number, (left, top, right, bottom), (x, y) in zip(
@@ -53,14 +54,3 @@ def layout(
     for behind, front in mirrored.items():
         table[behind] = seen_from_behind(table[front], table[behind])
     return table, compose(parts, size, gutter, "slicings")
-
-
-def _packed(used: Ints, gutter: int, limit: int) -> tuple[Ints, tuple[int, int]]:
-    sizes = used[:, 2:] - used[:, :2]
-    packed = pack_pictures(sizes, gutter, limit)
-    if packed is None:
-        raise BudgetError(
-            f"the slices do not fit into an atlas of {limit} texels a side; "
-            f"{advice(sizes, gutter, 'slicings', 'texels, slices or orientations')}"
-        )
-    return packed

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from treebake.brightness import fit_brightness
+from treebake.checks import check, is_power_of_two
 from treebake.crossed import crossed_cards
-from treebake.errors import SettingsError
 from treebake.geometry import join, turn_to
 from treebake.gl.photo import photograph
 from treebake.model import Doubles, Mesh, SlicedFoliage, Slicings, Tree
@@ -29,7 +29,7 @@ class SlicingSettings:
     texels: int = 256  # of a slice's longer side, 16 to 1024
     above: bool = True  # one more slicing, seen from above
     far_texels: int = 64  # of the longer side where a slicing is one slice, for trees far away, 16 to 1024
-    far_height: float = 32.0  # pixels of the crown's height on screen below which those are drawn; 0: never
+    far_height: float = 32.0  # pixels of the crown's size on screen below which those are drawn; 0: never
     dropped: int = 0  # furthest slices of each slicing that are not drawn, 0 to slices - 1
     large: str = "slices"  # primitives longer than the slices stand apart: cut up between "slices", or left as "mesh"
     mirror: float = 0.01  # a slice seen from behind is the mirrored front where they differ less, 0 (never) to 1
@@ -65,7 +65,7 @@ def slicings(tree: Tree, settings: SlicingSettings) -> SlicedFoliage:
         orientations=settings.orientations,
         count=settings.slices,
         center=center,
-        height=float(np.ptp(foliage.bounds[:, 1])),
+        size=float(np.ptp(foliage.bounds, axis=0).max()) or 1.0,
         above=settings.above,
         far_row=len(near) * settings.slices,
         far_height=settings.far_height,
@@ -91,10 +91,7 @@ def _standard(tree: Tree, center: Doubles, solid: NDArray[np.bool_], settings: S
 
 
 def _check(settings: SlicingSettings) -> None:
-    def power_of_two(value: int, least: int, most: int) -> bool:
-        return least <= value <= most and value & (value - 1) == 0
-
-    for name, valid, hint in (
+    rules = (
         ("orientations", 4 <= settings.orientations <= 64, "4 to 64, for example 6"),
         ("slices", 1 <= settings.slices <= 64, "1 to 64, for example 5"),
         ("texels", 16 <= settings.texels <= 1024, "16 to 1024, for example 256"),
@@ -104,9 +101,8 @@ def _check(settings: SlicingSettings) -> None:
         ("large", settings.large in ("slices", "mesh"), '"slices" or "mesh"'),
         ("mirror", 0 <= settings.mirror <= 1, "0 to 1, for example 0.01"),
         ("rectangles", 1 <= settings.rectangles <= 8, "1 to 8, for example 2"),
-        ("atlas", power_of_two(settings.atlas, 64, 16384), "a power of two from 64 to 16384"),
-        ("gutter", power_of_two(settings.gutter, 1, 64), "a power of two from 1 to 64"),
+        ("atlas", is_power_of_two(settings.atlas, 64, 16384), "a power of two from 64 to 16384"),
+        ("gutter", is_power_of_two(settings.gutter, 1, 64), "a power of two from 1 to 64"),
         ("supersample", 1 <= settings.supersample <= 4, "1 to 4"),
-    ):
-        if not valid:
-            raise SettingsError(f"[slicings] {name} is {getattr(settings, name)}; it must be {hint}")
+    )
+    check("slicings", settings, rules)

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from treebake.brightness import fit_brightness
+from treebake.checks import check, is_power_of_two
 from treebake.crossed import crossed_cards
-from treebake.errors import BudgetError, SettingsError
 from treebake.geometry import join, turn_to
 from treebake.gl.photo import Shot, photograph
 from treebake.model import Doubles, Floats, Impostor, Ints, Mesh, Tree, Views
-from treebake.pictures import Part, advice, compose, covered, pack_pictures, trimmed
+from treebake.pictures import Part, compose, covered, place_pictures, trimmed
 from treebake.stages.views.directions import hemi_octahedron, ring
 from treebake.stages.views.support import support
 
@@ -27,7 +27,7 @@ class ViewSettings:
     count: int = 8  # pictures of a ring, 2 to 64
     side: int = 12  # pictures along a side of the hemi-octahedron, 2 to 32
     layers: int = 3  # of each picture, one behind the other: what a nearer one hides shows from aside, 1 to 8
-    texels: int = 128  # of the longer side of the largest tree's pictures, 16 to 1024
+    texels: int = 128  # of the longest side of the largest tree, 16 to 1024; a picture askew may have some more
     atlas: int = 4096  # greatest side of the atlas in texels, a power of two, 64 to 16384
     gutter: int = 8  # texels kept free around each picture, a power of two: mips down to that size stay clean
     supersample: int = 4  # samples per texel each way, 1 to 4
@@ -50,10 +50,17 @@ def views(trees: Sequence[Tree], settings: ViewSettings) -> tuple[Impostor, ...]
         for photo in photograph(mesh, taken, settings.supersample)
     ]
     crops = np.array([trimmed(covered(photo)) for photo in photos], np.int32)
-    origins, size = _packed(crops, settings)
+    shown = np.flatnonzero(crops[:, 2] > crops[:, 0])
+    origins = np.zeros((len(crops), 2), np.int32)
+    sizes = crops[shown, 2:] - crops[shown, :2]
+    origins[shown], size = place_pictures(
+        sizes, settings.gutter, settings.atlas, "views", "texels, layers, count or side"
+    )
     parts = (
-        Part(photo, (slice(top, bottom), slice(left, right)), (int(x), int(y)))
-        for photo, (left, top, right, bottom), (x, y) in zip(photos, crops, origins, strict=True)
+        Part(photos[number], (slice(top, bottom), slice(left, right)), (x, y))
+        for number, (left, top, right, bottom), (x, y) in zip(
+            shown.tolist(), crops[shown].tolist(), origins[shown].tolist(), strict=True
+        )
     )
     atlas = compose(parts, size, settings.gutter, "views")
     made = []
@@ -79,21 +86,17 @@ def views(trees: Sequence[Tree], settings: ViewSettings) -> tuple[Impostor, ...]
 
 
 def _check(settings: ViewSettings) -> None:
-    def power_of_two(value: int, least: int, most: int) -> bool:
-        return least <= value <= most and value & (value - 1) == 0
-
-    for name, valid, hint in (
+    rules = (
         ("layout", settings.layout in ("ring", "hemi"), '"ring" or "hemi"'),
         ("count", 2 <= settings.count <= 64, "2 to 64, for example 8"),
         ("side", 2 <= settings.side <= 32, "2 to 32, for example 12"),
         ("layers", 1 <= settings.layers <= 8, "1 to 8, for example 3"),
         ("texels", 16 <= settings.texels <= 1024, "16 to 1024, for example 128"),
-        ("atlas", power_of_two(settings.atlas, 64, 16384), "a power of two from 64 to 16384"),
-        ("gutter", power_of_two(settings.gutter, 1, 64), "a power of two from 1 to 64"),
+        ("atlas", is_power_of_two(settings.atlas, 64, 16384), "a power of two from 64 to 16384"),
+        ("gutter", is_power_of_two(settings.gutter, 1, 64), "a power of two from 1 to 64"),
         ("supersample", 1 <= settings.supersample <= 4, "1 to 4"),
-    ):
-        if not valid:
-            raise SettingsError(f"[views] {name} is {getattr(settings, name)}; it must be {hint}")
+    )
+    check("views", settings, rules)
 
 
 def _shots(mesh: Mesh, turn: Doubles, texel: float, layers: int) -> list[Shot]:
@@ -129,17 +132,6 @@ def _shots(mesh: Mesh, turn: Doubles, texel: float, layers: int) -> list[Shot]:
     ]
 
 
-def _packed(crops: Ints, settings: ViewSettings) -> tuple[Ints, tuple[int, int]]:
-    sizes = crops[:, 2:] - crops[:, :2]
-    packed = pack_pictures(sizes, settings.gutter, settings.atlas)
-    if packed is None:
-        raise BudgetError(
-            f"{len(crops)} pictures do not fit into an atlas of {settings.atlas} texels a side; "
-            f"{advice(sizes, settings.gutter, 'views', 'texels, layers, count or side')}"
-        )
-    return packed
-
-
 def _standard(mesh: Mesh, texel: float, supersample: int) -> Mesh:
     """Two crossed cards that any viewer draws."""
     taken = [_shots(mesh, turn_to(0.0, azimuth), texel, layers=1)[0] for azimuth in (0.0, 90.0)]
@@ -158,6 +150,8 @@ def _table(
         low, high = shot.low - middle, shot.high - middle
         row[:3, :3] = shot.turn
         row[:3, 3] = 0, low[2], high[2]
+        if right == left:
+            continue  # shows nothing
         row[3] = low[0] + left * texel, high[1] - bottom * texel, low[0] + right * texel, high[1] - top * texel
         row[4] = np.array([x, y + bottom - top, x + right - left, y]) / [*size, *size]
     return table
