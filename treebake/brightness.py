@@ -21,7 +21,7 @@ StandIn = TypeVar("StandIn", Slicings, Views)
 
 _AZIMUTHS = 10  # views around the tree: with no usual number of orientations in step
 _HALF_VIEW = math.radians(17.5)  # that the tree's bounding sphere fills
-_MULTIPLIERS = np.linspace(0.0, 3.0, 4)  # at which the stand-in is drawn, and between which m is interpolated
+_MULTIPLIERS = np.array([0.0, 0.6, 1.2, 2.0, 3.0])  # at which the stand-in is drawn; others are interpolated
 _EXPOSURES = (0.5, 2.0)
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
 
@@ -33,7 +33,7 @@ def fit_brightness(stand_in: StandIn, rest: Mesh, source: Mesh, height: int) -> 
     which they are compared.
     """
     middle = source.bounds.astype(np.float64).mean(axis=0)
-    radius = float(np.linalg.norm(source.bounds - middle, axis=1).max()) or 1.0
+    radius = float(np.linalg.norm(source.positions[source.used] - middle, axis=1).max(initial=0)) or 1.0
     views = [_around(middle, radius, 360.0 * step / _AZIMUTHS, height) for step in range(_AZIMUTHS)]
     with closing(Drawing(source, exact_cutouts=True)) as drawing:
         wanted = np.array([_seen(drawing, view) for view in views])

@@ -200,8 +200,12 @@ def textures(
         if out:
             distinct_names(folders)
         baked = [bake_textures(work, out, settings) for work in folders]
-    facts = {str(each.folder): {"asset": str(each.folder), **of_baked(each)} for each in baked}
-    terminal.show(next(iter(facts.values())) if len(facts) == 1 else facts)
+    facts = [{"asset": str(each.folder), **of_baked(each)} for each in baked]
+    if terminal.as_json and len(facts) > 1:
+        terminal.show({"assets": facts})
+    else:
+        for fact in facts:
+            terminal.show(fact)
 
 
 @cli.command(short_help="Mesh in, published asset out: cluster and textures in one.")

@@ -292,7 +292,7 @@ class Slicings:
     @property
     def triangles(self) -> int:
         """How many are drawn for a tree seen from aside: two slicings."""
-        return 2 * 2 * self.count * self.rectangles
+        return 2 * 2 * (self.count - self.dropped) * self.rectangles
 
 
 @dataclass(frozen=True, eq=False)

@@ -118,7 +118,7 @@ def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Bake
     impostor = None
     if settings.views.enabled:
         impostor = work.run(views, settings.views, Result.together([tree])).value[0]
-    return _publish(work, folder, settings, impostor, None)
+    return _publish(work, _baked(work, settings, impostor), folder, None)
 
 
 def bake_shared(works: Sequence[Workspace], out: Path, settings: Settings) -> list[Baked]:
@@ -136,12 +136,10 @@ def bake_shared(works: Sequence[Workspace], out: Path, settings: Settings) -> li
     trees = Result.together([work.read("twigs", _command(work)) for work in works])
     gathered = Workspace(out / SHARED, works[0].force, works[0].announce)
     impostors: tuple[Impostor, ...] = gathered.run(views, settings.views, trees).value
-    shared = write_shared_views(list(zip(names, impostors, strict=True)), out)
+    baked = [_baked(work, settings, impostor) for work, impostor in zip(works, impostors, strict=True)]
+    shared = write_shared_views(list(zip(names, impostors, strict=True)), out)  # from here on nothing can fail to bake
     beside = Path("..") / shared.relative_to(out)
-    return [
-        _publish(work, out / name, settings, impostor, beside)
-        for work, name, impostor in zip(works, names, impostors, strict=True)
-    ]
+    return [_publish(work, tree, out / name, beside) for work, tree, name in zip(works, baked, names, strict=True)]
 
 
 def distinct_names(works: Sequence[Workspace]) -> list[str]:
@@ -152,12 +150,10 @@ def distinct_names(works: Sequence[Workspace]) -> list[str]:
     return names
 
 
-def _publish(
-    work: Workspace, folder: Path, settings: Settings, impostor: Impostor | None, shared: Path | None
-) -> Baked:
-    """Run what is left of the stages and write the asset."""
+def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> BakedTree:
+    """Run what is left of the stages."""
     source, command = _source(work), _command(work)
-    tree, parts = work.read("twigs", command), work.read("split", command)
+    tree = work.read("twigs", command)
     layers: IndirectTextures | None = None
     sliced: SlicedFoliage | None = None
     if tree.value.leaves.count:
@@ -166,6 +162,7 @@ def _publish(
             clusters = work.read(_INDIRECT_CLUSTER, command, leaves)
             layers = work.run(indirect, settings.indirect, tree, clusters).value
         if settings.slicings.enabled:
+            parts = work.read("split", command)
             sparse = work.run(twigs, settings.slicing_twigs, parts, name="slicing_twigs")
             solid = work.run(trunk, settings.slicing_trunk, sparse.part("trunk"), name="slicing_trunk").value
             sliced = work.run(slicings, settings.slicings, sparse).value
@@ -173,21 +170,26 @@ def _publish(
         cloud = work.run(billboards, settings.textures, tree, work.read("cluster", command, leaves)).value
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
-    stem = work.run(trunk, settings.trunk, tree.part("trunk")).value
+    return BakedTree(
+        name=source.name,
+        cloud=cloud,
+        indirect=layers,
+        trunk=work.run(trunk, settings.trunk, tree.part("trunk")).value,
+        slicings=sliced,
+        views=impostor,
+        source_triangles=source.triangles,
+        source_bounds=source.bounds,
+    )
+
+
+def _publish(work: Workspace, baked: BakedTree, folder: Path, shared: Path | None) -> Baked:
+    """Write the asset, and tell what is left of the trunk."""
     with work.announce("asset"):
-        baked = BakedTree(
-            name=source.name,
-            cloud=cloud,
-            indirect=layers,
-            trunk=stem,
-            slicings=sliced,
-            views=impostor,
-            source_triangles=source.triangles,
-            source_bounds=source.bounds,
-        )
         write_asset(baked, folder, shared)
-    pieces = tree.value.foliage.select(tree.value.leaves.is_twig[tree.value.leaves.face_leaf])
-    return Baked(folder, compare(parts.value.trunk, stem, pieces))
+    command = _command(work)
+    tree: Tree = work.read("twigs", command).value
+    pieces = tree.foliage.select(tree.leaves.is_twig[tree.leaves.face_leaf])
+    return Baked(folder, compare(work.read("split", command).value.trunk, baked.trunk, pieces))
 
 
 def _command(work: Workspace) -> str:

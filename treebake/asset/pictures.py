@@ -10,6 +10,7 @@ import numpy as np
 from treebake.asset.extras import AtlasExtras, Extras, read_extras
 from treebake.asset.manifest import FORMAT
 from treebake.compression import block_bytes
+from treebake.errors import AssetError
 from treebake.formats.gltf_file import GltfFile
 from treebake.glb import write_glb
 from treebake.model import Floats, Impostor, PictureAtlas, SlicedFoliage, Slicings, Texture, Views
@@ -126,6 +127,18 @@ def read_views(path: Path, name: str) -> Views:
         return views, next((what for sound, what in checks if not sound), "")
 
     return read_extras(path, "views", read)
+
+
+def views_names(path: Path) -> tuple[str, ...]:
+    """The trees whose views a GLB holds; none where it is missing or damaged."""
+    try:
+        return read_extras(path, "views", lambda _file, extras: (_names(extras), ""))
+    except AssetError:
+        return ()
+
+
+def _names(extras: Extras) -> tuple[str, ...]:
+    return tuple(tree.name for tree in extras.views.trees) if extras.views else ()
 
 
 def atlas_bytes(atlas: PictureAtlas) -> int:

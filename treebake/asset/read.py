@@ -27,12 +27,16 @@ def read_asset(folder: Path) -> Asset:
         raise AssetError(f"{folder} is no published asset: {path.name} cannot be read ({error.strerror})") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise AssetError(f"{path} is damaged ({error}); bake the tree again") from error
-    files = [level.file for level in manifest.levels] + [image.file for image in manifest.textures]
-    further = [entry.file for entry in (manifest.indirect, manifest.slicings, manifest.views) if entry]
-    for file in files + further:
+    for file in files_of(manifest):
         if not (folder / file).is_file():
             raise AssetError(f"{folder / file} is named by the manifest and is missing; bake the tree again")
     return Asset(folder, manifest)
+
+
+def files_of(manifest: Manifest) -> list[str]:
+    """Every file that a manifest names."""
+    entries = [entry for entry in (manifest.indirect, manifest.slicings, manifest.views) if entry]
+    return [each.file for each in (*manifest.levels, *manifest.textures, *entries)]
 
 
 class _Numbered(msgspec.Struct):

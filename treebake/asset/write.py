@@ -1,5 +1,6 @@
 """Write a baked tree as files: NAME_LOD0.glb, NAME.glb and the like, textures/ and manifest.json."""
 
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,12 +10,15 @@ import numpy as np
 from treebake import __version__
 from treebake.asset.indirect import IMAGES, TABLES, indirect_bytes, write_indirect
 from treebake.asset.manifest import FORMAT, Image, Indirect, Level, Manifest, Picture, SlicingsEntry, Source, ViewsEntry
-from treebake.asset.pictures import ATLAS, atlas_bytes, write_slicings, write_views
-from treebake.errors import WorkspaceError
+from treebake.asset.pictures import ATLAS, atlas_bytes, views_names, write_slicings, write_views
+from treebake.asset.read import files_of, read_asset
+from treebake.errors import AssetError, WorkspaceError
 from treebake.files import atomic
 from treebake.glb import write_glb
 from treebake.images import encode_floats, encode_png, encode_texture
 from treebake.model import BakedTree, Impostor, IndirectTextures, Mesh, PictureAtlas, SlicedFoliage, Texture, Views
+
+LOG = logging.getLogger("treebake")
 
 SHARED = "shared_views"  # folder and file of the views of trees that share an atlas
 
@@ -75,9 +79,21 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
         views=views,
         textures=tuple(images),
     )
+    before = _named(folder)
     with atomic(folder / "manifest.json") as file:
         file.write(msgspec.json.format(msgspec.json.encode(manifest), indent=2) + b"\n")
+    for stale in before - _named(folder):  # what an earlier bake left and this one does not have
+        stale.unlink(missing_ok=True)
     return manifest
+
+
+def _named(folder: Path) -> set[Path]:
+    """The files within the folder that its manifest names; none where there is no sound one."""
+    try:
+        named = files_of(read_asset(folder).manifest)
+    except AssetError:
+        return set()
+    return {folder / file for file in named if not file.startswith("..")}
 
 
 def write_shared_views(named: Sequence[tuple[str, Impostor]], out: Path) -> Path:
@@ -86,6 +102,13 @@ def write_shared_views(named: Sequence[tuple[str, Impostor]], out: Path) -> Path
     Returns the GLB's path. Raises WorkspaceError.
     """
     folder = out / SHARED
+    left_out = set(views_names(folder / f"{SHARED}.glb")) - {name for name, _ in named}
+    if left_out:
+        LOG.warning(
+            "%s held the views of %s too, whose manifests still point there; give all trees that share an atlas",
+            folder,
+            ", ".join(sorted(left_out)),
+        )
     write_views(folder / f"{SHARED}.glb", named)
     _write_atlas(folder, "shared", named[0][1].views.atlas)
     return folder / f"{SHARED}.glb"

@@ -140,14 +140,20 @@ def verify(
 
 def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Camera, ...]]:
     for bad, what in (
-        (not settings.heights or not all(16 <= height <= 2048 for height in settings.heights), "heights: 16 to 2048"),
-        (not settings.elevations or not all(-90 <= e <= 90 for e in settings.elevations), "elevations: -90 to 90"),
+        (
+            not settings.heights or not all(16 <= height <= 2048 for height in settings.heights),
+            "heights: 16 to 2048, 1 or more",
+        ),
+        (
+            not settings.elevations or not all(-90 <= e <= 90 for e in settings.elevations),
+            "elevations: -90 to 90, 1 or more",
+        ),
         (settings.azimuths < 1, "azimuths: 1 or more"),
         (settings.turn and not 16 <= settings.turn <= 2048, "turn: 0 or 16 to 2048"),
         (settings.frames < 2, "frames: 2 or more"),
     ):
         if bad:
-            raise SettingsError(f"verify.{what}; at least one")
+            raise SettingsError(f"verify.{what}")
     for name in settings.representations:
         if name not in REPRESENTATIONS:
             known = ", ".join(REPRESENTATIONS)
@@ -160,6 +166,8 @@ def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Came
     asked = {height for _, _, height, _ in parse(settings.thresholds) if isinstance(height, int)}
     if unknown := asked - set(settings.heights):
         raise SettingsError(f"verify.thresholds: {min(unknown)} px is not among verify.heights; measure it or drop it")
+    if settings.quick and settings.turn:
+        LOG.warning("a quick run does not walk round the tree; leave out --quick, or verify.turn")
     if unseen := asked - set(heights):
         LOG.warning("thresholds at %s px are not judged: a quick run measures %d px only", _list(unseen), heights[0])
     return heights, directions[SCALE] if settings.quick else directions

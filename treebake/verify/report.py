@@ -62,6 +62,9 @@ def write_report(reports: Mapping[str, Report], folder: Path) -> None:
     runs from black (no difference) to light yellow (1). The same reports give the same bytes. Raises WorkspaceError
     where the folder cannot be written.
     """
+    for sheet in folder.glob("*_*.png"):  # of an earlier run, which report.json will not tell of
+        if sheet.stem.endswith(("px", "_close")):
+            sheet.unlink(missing_ok=True)
     for name, report in reports.items():
         for label, level in _labelled(report):
             with atomic(folder / f"{name}_{label}.png") as file:

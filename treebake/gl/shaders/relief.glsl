@@ -33,22 +33,24 @@ vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out 
         vec3 surface = textureLod(relief, uv, half_lod).rgb;
         float there = mix(picture.range.x, picture.range.y, surface.b);
         float part = textureLod(coverage, uv, lod).r;
-        // A depth between two steps belongs to both in parts, which add up to one; the first and last own their ends.
+        vec2 steep = (surface.rg * 2.0 - 1.0) * STEEPEST;
+        if (picture.range.x > picture.range.y) steep.y = -steep.y;
+        // A depth between two steps belongs to both in parts, which add up to one; the first and last own their ends. On
+        // a slope the ray comes nearer by more than a step at a time, of which as much is made up for as does not blur.
+        float nearing = clamp(abs(1.0 + dot(steep, way)), 1.0, 1.5);
         float off = abs(clamp(there, farthest, nearest - 0.5 * thick) - depth);
-        part *= steps == 1 ? 1.0 : max(1.0 - off / thick, 0.0);
+        part *= steps == 1 ? 1.0 : max(1.0 - off / (thick * nearing), 0.0);
         part = at == clamp(at, picture.bounds.xy, picture.bounds.zw) ? min(part, left) : 0.0;
         left -= part;
         height += part * there;
-        slope += part * surface.rg;
+        slope += part * steep;
     }
     float sum = 1.0 - left;
     height /= max(sum, 1e-6);
     vec2 uv = origin + (place + way * (steps == 1 ? picture.plane : height)) * scale;
     vec3 color = textureLod(lit, uv, half_lod).rgb;
     // A surface turned to the viewer covers more than it did in the picture, one turned away less.
-    slope = (slope / max(sum, 1e-6) * 2.0 - 1.0) * STEEPEST;
-    if (picture.range.x > picture.range.y) slope.y = -slope.y;
-    float turned = abs(dot(vec3(slope, 1.0), normalize(vec3(way, 1.0))));
+    float turned = abs(dot(vec3(slope / max(sum, 1e-6), 1.0), normalize(vec3(way, 1.0))));
     sum = 1.0 - pow(1.0 - sum, max(turned, 1e-3));
     return sum * vec4(color, 1.0);
 }

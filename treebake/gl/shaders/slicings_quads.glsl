@@ -29,7 +29,7 @@ flat out vec3 origin;  // of the slice's frame
 out vec2 place;        // on the slice
 
 const float ABOVE = 30.0, HIGH = 60.0;  // degrees of elevation between which the slicing seen from above takes over
-const int MOST_STEPS = 12;
+const int MOST_STEPS = 16;
 const float STEP = 2.0;  // pixels that a step through a slice may shift what is seen
 const float TAU = 6.28318530718;
 const vec2 CORNERS[6] = vec2[](vec2(0, 0), vec2(1, 0), vec2(1, 1), vec2(0, 0), vec2(1, 1), vec2(0, 1));

@@ -15,7 +15,7 @@ from treebake.pictures import Part, compose, covered, place_pictures, trimmed
 from treebake.stages.views.directions import hemi_octahedron, ring
 from treebake.stages.views.support import support
 
-_FIT_HEIGHT = 80  # pixels of the tree: the middle of the range that views are for
+_FIT_HEIGHT = 64  # pixels of the tree: the largest that views are for
 
 
 @dataclass(frozen=True)
