@@ -85,7 +85,7 @@ def layers() -> IndirectTextures:
 def sliced() -> SlicedFoliage:
     """The coarsest slicings of three leaves."""
     tree = leaf_tree([(0, 0, 0), (0.3, 0.1, 0.05), (0, 1, 0)])
-    coarse = SlicingSettings(orientations=2, slices=1, texels=16, far_texels=16, supersample=1, gutter=1)
+    coarse = SlicingSettings(orientations=4, slices=1, texels=16, far_texels=16, supersample=1, gutter=1)
     return frozen(slicings(tree, coarse))
 
 

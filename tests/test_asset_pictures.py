@@ -242,7 +242,7 @@ def test_the_manifest_says_what_the_slicings_are(tmp_path: Path) -> None:
         "file": "oak_slicings.glb",
         "slicings": 3,
         "slices": 3,
-        "triangles": 2 * 3 * 2 * 2,  # two slicings of three slices, two rectangles each
+        "triangles": 2 * 2 * 2 * 2,  # two slicings, the nearer two of three slices, two rectangles each
         "trunk_triangles": 2,
         "texels_kept": 0.64,
         "gpu_bytes": BYTES + foliage().slicings.slices.nbytes,
@@ -570,3 +570,13 @@ def test_a_file_that_is_none_or_cut_off_is_one_line(tmp_path: Path, kind: str) -
     for damaged in (path, tmp_path / "nowhere.glb", tmp_path):
         with pytest.raises(AssetError, match=rf"^{damaged} holds no usable {kind} \([^\n]+\); bake"):
             read(damaged, kind)
+
+
+def test_what_an_earlier_bake_left_is_removed(tmp_path: Path) -> None:
+    write_asset(baked(), tmp_path)
+    kept = tmp_path / "notes.txt"
+    kept.write_text("mine")
+    write_asset(replace(baked(), slicings=None, views=None), tmp_path)
+    assert not list(tmp_path.rglob("*slicings*")) + list(tmp_path.rglob("*views*"))
+    assert kept.exists()
+    assert read_asset(tmp_path).manifest.slicings is None

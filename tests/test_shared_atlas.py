@@ -93,9 +93,8 @@ def test_both_trees_are_published_with_one_texture_of_views(works: Path, first: 
 
 def test_what_was_published_is_told_tree_by_tree(works: Path, first: Outcome) -> None:
     facts = json.loads(first.out)
-    assert list(facts) == [str(works / "out/a"), str(works / "out/b")]
-    for name in "ab":
-        told = facts[str(works / f"out/{name}")]
+    assert [asset["asset"] for asset in facts["assets"]] == [str(works / "out/a"), str(works / "out/b")]
+    for name, told in zip("ab", facts["assets"], strict=True):
         assert (told["name"], told["views"]["file"]) == (name, "../shared_views/shared_views.glb")
 
 
@@ -190,3 +189,27 @@ def test_a_tree_with_the_name_of_the_shared_folder_does_not_lose_the_views(works
         asset = read_asset(tmp_path / "out" / name)
         assert asset.manifest.views is not None
         read_views(asset.folder / asset.manifest.views.file, name)
+
+
+def test_a_tree_that_is_left_out_later_is_warned_of(works: Path, first: Outcome) -> None:
+    assert first.code == 0
+    out = works / "out"
+    again = treebake("textures", works / "work_b", "--shared-atlas", "-o", out, *QUICK, "-q")
+    assert again.code == 0
+    assert again.lines == [
+        f"treebake: warning: {out / 'shared_views'} held the views of a too, whose manifests still point there; "
+        "give all trees that share an atlas"
+    ]
+    assert treebake("textures", works / "work_a", works / "work_b", "--shared-atlas", "-o", out, *QUICK, "-q").code == 0
+
+
+def test_what_cannot_be_baked_leaves_what_was_shared(works: Path, first: Outcome) -> None:
+    assert first.code == 0
+    shared = works / "out/shared_views/shared_views.glb"
+    before = shared.read_bytes()
+    bad = "--set", "slicings.enabled=true", "--set", "slicings.atlas=64", "--set", "views.count=4"
+    failed = treebake(
+        "textures", works / "work_a", works / "work_b", "--shared-atlas", "-o", works / "out", *QUICK, *bad
+    )
+    assert failed.code == 2
+    assert shared.read_bytes() == before

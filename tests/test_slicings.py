@@ -5,11 +5,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from foliage import GREEN, frozen, leaf_tree
 
+from treebake.asset import read_slicings
+from treebake.asset.pictures import write_slicings
 from treebake.errors import BudgetError, SettingsError
 from treebake.geometry import turn_to
 from treebake.gl.photo import Photo
@@ -519,3 +522,37 @@ def test_an_atlas_too_small_names_one_that_is_large_enough() -> None:
         slicings(two_colors(), replace(small, atlas=enough // 2))
     made = slicings(two_colors(), replace(small, atlas=enough)).slicings
     assert max(made.atlas.coverage.pixels.shape) <= enough
+
+
+# ---- what a review found ---------------------------------------------------------------------------------------------
+
+
+def test_a_leaf_that_lies_flat_is_published_and_read(tmp_path: Path) -> None:
+    tree = leaf_tree([(0.0, 1.0, 0.0)], (0, 1, 0))
+    write_slicings(tmp_path / "lily.glb", slicings(tree, SMALL))
+    assert read_slicings(tmp_path / "lily.glb").size > 0
+
+
+def test_a_tree_far_from_the_origin_is_fitted_like_any() -> None:
+    near, far = (
+        slicings(leaf_tree([(x + 0.3 * i, 0.2 * i, 0.4 * (i % 3)) for i in range(6)], size=0.4), SMALL).slicings
+        for x in (0.0, 512.0)
+    )
+    assert far.brightness == pytest.approx(near.brightness, abs=0.05)
+    assert far.exposure == pytest.approx(near.exposure, abs=0.02)
+
+
+def test_nothing_fades_where_a_slice_is_cut_in_two() -> None:
+    bar, post = (np.array(box, float) for box in ((-1, -1, 1, -0.6), (-1, -1, -0.6, 1)))  # an L, solid
+    tree = leaf_tree([(0.0, 0.0, 0.0)] * 2, size=1.0)
+    corners = [[[x0, y0, 0], [x1, y0, 0], [x1, y1, 0], [x0, y1, 0]] for x0, y0, x1, y1 in (bar, post)]
+    tree = replace(tree, foliage=replace(tree.foliage, positions=np.array(corners, np.float32).reshape(-1, 3)))
+    made = slicings(tree, replace(SMALL, slices=1, rectangles=2, above=False, far_height=0.0)).slicings
+    row = made.slices[0]
+    assert (row[3::2, 2] > row[3::2, 0]).all()  # it was cut
+    height, width = made.atlas.coverage.pixels.shape[:2]
+    for left, bottom, right, top in row[4::2] * [width, height, width, height]:
+        beyond = made.atlas.coverage.pixels[round(top) - 1 : round(bottom) + 1, round(left) - 1 : round(right) + 1, 0]
+        inside = made.atlas.coverage.pixels[round(top) : round(bottom), round(left) : round(right), 0]
+        assert (inside[1:-1, 1:-1] == 255).all()  # its outline may fall within a texel
+        assert any((edge[1:-1] == 255).any() for edge in (beyond[0], beyond[-1], beyond[:, 0], beyond[:, -1]))

@@ -40,11 +40,11 @@ def _few_thick_planes() -> ClusterSettings:
 
 def _most_branches_sliced() -> TwigSettings:
     # A branch on a slice costs nothing ([J00] 2.1), so the trunk beside the slices is for what is thick.
-    return TwigSettings(trunk_triangles=2500)
+    return TwigSettings(trunk_triangles=5000)
 
 
 def _thick_branches() -> TrunkSettings:
-    return TrunkSettings(triangles=2500)
+    return TrunkSettings(triangles=5000)
 
 
 @dataclass(frozen=True)

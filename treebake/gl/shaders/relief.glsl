@@ -37,7 +37,7 @@ vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out 
         if (picture.range.x > picture.range.y) steep.y = -steep.y;
         // A depth between two steps belongs to both in parts, which add up to one; the first and last own their ends. On
         // a slope the ray comes nearer by more than a step at a time, of which as much is made up for as does not blur.
-        float nearing = clamp(abs(1.0 + dot(steep, way)), 1.0, 1.5);
+        float nearing = clamp(abs(1.0 + dot(steep, way)), 1.0, 1.25);
         float off = abs(clamp(there, farthest, nearest - 0.5 * thick) - depth);
         part *= steps == 1 ? 1.0 : max(1.0 - off / (thick * nearing), 0.0);
         part = at == clamp(at, picture.bounds.xy, picture.bounds.zw) ? min(part, left) : 0.0;
