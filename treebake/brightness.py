@@ -19,9 +19,9 @@ from treebake.model import Doubles, Mesh, Slicings, Views
 
 StandIn = TypeVar("StandIn", Slicings, Views)
 
-_AZIMUTHS = 10  # views around the tree: with no usual number of orientations in step
+_AZIMUTHS = 7  # views around the tree: with no usual number of orientations in step
 _HALF_VIEW = math.radians(17.5)  # that the tree's bounding sphere fills
-_MULTIPLIERS = np.array([0.0, 0.6, 1.2, 2.0, 3.0])  # at which the stand-in is drawn; others are interpolated
+_MULTIPLIERS = np.array([0.0, 0.6, 1.2, 3.0])  # at which the stand-in is drawn; others are interpolated
 _EXPOSURES = (0.5, 2.0)
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
 

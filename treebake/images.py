@@ -82,7 +82,7 @@ def _encode(pixels: NDArray[Any], name: str) -> bytes:
         return path.read_bytes()
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)  # an asset has some twenty
 def encode_texture(texture: Texture, *, with_alpha: bool) -> bytes:
     """Encode a texture as PNG, with or without its alpha; kept, because it goes into GLBs and beside them."""
     return encode_png(texture.pixels if with_alpha else texture.pixels[..., :3])

@@ -13,7 +13,7 @@ from treebake.images import bleed, to_srgb
 from treebake.model import Bytes, Floats, Ints, Longs, PictureAtlas, Texture
 
 STEEPEST = 4.0  # slopes run from -STEEPEST to STEEPEST
-_STRETCHES = np.linspace(0.85, 1.3, 10)  # of a square, in width, that are tried for an atlas
+_STRETCHES = np.linspace(0.85, 1.3, 7)  # of a square, in width, that are tried for an atlas
 MOST_ATLAS = 16384  # texels a side
 _FEW = 120  # pictures, up to which the better of two ways to pack is quick
 _LEAST = 0.07  # coverage of a texel that makes a picture larger
