@@ -15,6 +15,7 @@ import numpy as np
 from treebake.geometry import turn_to
 from treebake.gl.draw import Drawing
 from treebake.gl.view import View, looking
+from treebake.images import LUMINANCE
 from treebake.model import Doubles, Mesh, Slicings, Views
 
 StandIn = TypeVar("StandIn", Slicings, Views)
@@ -23,7 +24,6 @@ _AZIMUTHS = 7  # views around the tree: with no usual number of orientations in 
 _HALF_VIEW = math.radians(17.5)  # that the tree's bounding sphere fills
 _MULTIPLIERS = np.array([0.0, 0.6, 1.2, 3.0])  # at which the stand-in is drawn; others are interpolated
 _EXPOSURES = (0.5, 2.0)
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
 
 
 def fit_brightness(stand_in: StandIn, rest: Mesh, source: Mesh, height: int) -> StandIn:
@@ -63,4 +63,4 @@ def _around(middle: Doubles, radius: float, azimuth: float, height: int) -> View
 def _seen(drawing: Drawing, view: View) -> tuple[float, float]:
     """The area that is covered, and the light that comes from it."""
     color = drawing.picture(view).color.sum(axis=(0, 1), dtype=np.float64)
-    return float(color[3]), float(color[:3] @ _LUMINANCE)
+    return float(color[3]), float(color[:3] @ LUMINANCE)

@@ -27,7 +27,8 @@ def crossed_cards(shots: Sequence[Shot], photos: Sequence[Photo], depths: Double
     packed = pack_pictures(crops[:, 2:] - crops[:, :2], _GUTTER, MOST_ATLAS)
     if packed is None:
         raise BudgetError(
-            f"the standard cards of the {name} need more than 16384 texels a side; lower the texels of the pictures"
+            f"the standard cards of the {name} need more than {MOST_ATLAS} texels a side; "
+            "lower the texels of the pictures"
         )
     origins, used = packed
     width, height = (1 << max(side - 1, 1).bit_length() for side in used)  # what shaping asks for

@@ -16,6 +16,8 @@ from treebake.errors import InputError, WorkspaceError
 from treebake.files import atomic
 from treebake.model import Bytes, Floats, Texture
 
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709
+
 
 def read_image(path: Path) -> Bytes:
     """Read any common image file as (h, w, 4) uint8; a missing alpha is 255, a palette is resolved.

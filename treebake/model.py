@@ -124,6 +124,18 @@ class Mesh:
         )
 
 
+EMPTY_MESH = Mesh(
+    positions=np.zeros((0, 3), np.float32),
+    normals=np.zeros((0, 3), np.float32),
+    uvs=np.zeros((0, 2), np.float32),
+    faces=np.zeros((0, 3), np.int32),
+    face_material=np.zeros(0, np.int32),
+    face_node=np.zeros(0, np.int32),
+    materials=(),
+    nodes=(),
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Leaves:
     """The sparse set of a tree ([J00] 2.1), one row per element: a leaf, or a piece of a twig too thin for the trunk.

@@ -103,13 +103,13 @@ def _frames(source: Mesh, grove: Grove, nearest: float) -> Iterator[View]:
 
 def _seen(view: View, grove: Grove, radius: float) -> Grove:
     """The trees of which something may be in view."""
-    clip = np.column_stack([grove.places[:, :3], np.ones(len(grove.places))]) @ view.to_clip.T
-    inside = clip[:, 3] > -radius
+    points = np.column_stack([grove.places[:, :3], np.ones(len(grove.places))])
+    inside = points @ view.to_clip[3] > -radius
     for axis in (0, 1):
         edges = np.stack([view.to_clip[3] + view.to_clip[axis], view.to_clip[3] - view.to_clip[axis]])
-        away = np.column_stack([grove.places[:, :3], np.ones(len(grove.places))]) @ edges.T
+        away = points @ edges.T
         inside &= (away > -radius * np.linalg.norm(edges[:, :3], axis=1)).all(axis=1)
-    return Grove(grove.places[inside], grove.turns[inside])
+    return grove.select(inside)
 
 
 def _draw(gl: Any, target: Any, drawing: Drawing, view: View, grove: Grove) -> None:

@@ -20,7 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from treebake.errors import MeshError, SettingsError
+from treebake.checks import check
+from treebake.errors import MeshError
 from treebake.model import Clusters, Doubles, Ints, Leaves
 
 LOG = logging.getLogger("treebake")
@@ -101,15 +102,14 @@ def cluster_statistics(leaves: Leaves, clusters: Clusters) -> ClusterStatistics:
 
 
 def _check(settings: ClusterSettings) -> None:
-    for name, valid, hint in (
+    rules = (
         ("billboards", settings.billboards >= 1, "1 or more"),
         ("angle_weight", settings.angle_weight > 0, "above 0"),
         ("compactness", settings.compactness >= 0, "0 or more"),
         ("iterations", settings.iterations >= 1, "1 or more"),
         ("seed", settings.seed >= 0, "0 or more"),
-    ):
-        if not valid:
-            raise SettingsError(f"[cluster] {name} is {getattr(settings, name)}; it must be {hint}")
+    )
+    check("cluster", settings, rules)
 
 
 def _misfit(leaves: Leaves) -> Doubles:

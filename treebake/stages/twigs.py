@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from treebake.errors import SettingsError
+from treebake.checks import check
 from treebake.geometry import join
 from treebake.model import Doubles, Leaves, Longs, Mesh, Tree
 from treebake.tubes.find import Tubes, find_tubes
@@ -63,14 +63,13 @@ def twigs(tree: Tree, settings: TwigSettings) -> Tree:
 
 
 def _check(settings: TwigSettings) -> None:
-    for name, valid, hint in (
+    rules = (
         ("trunk_triangles", settings.trunk_triangles > 0, "above 0"),
         ("radius", settings.radius <= 1, "at most 1"),
         ("detail", settings.detail > 0, "above 0"),
         ("length", settings.length > 0, "above 0"),
-    ):
-        if not valid:
-            raise SettingsError(f"[twigs] {name} is {getattr(settings, name)}; it must be {hint}")
+    )
+    check("twigs", settings, rules)
 
 
 def _cuts(tubes: Tubes, radius: float) -> Longs:

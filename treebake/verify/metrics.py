@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
 from treebake.gl.draw import Picture
-from treebake.images import flip_error, to_srgb
+from treebake.images import LUMINANCE, flip_error, to_srgb
 from treebake.model import Doubles, Floats
 
 SKY, GREY = (0.55, 0.72, 0.92), (0.18, 0.18, 0.18)  # the backgrounds, linear light
 _FLIP_REACH = 16  # pixels that FLIP's filters look around them at 67 pixels per degree: 10, and some to spare
 _SSIM_REACH = 5
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 from treebake.asset import Asset, indirect_bytes, read_indirect, read_slicings, read_views
 from treebake.errors import SettingsError
 from treebake.meshes import read_mesh
-from treebake.model import Layers, Mesh
+from treebake.model import EMPTY_MESH, Layers, Mesh
 from treebake.verify.protocol import REPRESENTATIONS, VerifySettings
 from treebake.verify.same_bytes import with_texture_bytes
 
@@ -30,7 +30,7 @@ def representations(asset: Asset, heights: Collection[int], settings: VerifySett
         sliced = folder / entries.slicings.file
         makers["slicings"] = lambda: (_without(sliced, "slices", heights), read_slicings(sliced))
     if views := entries.views:
-        makers["views"] = lambda: (dict.fromkeys(heights, _NOTHING), read_views(folder / views.file, entries.name))
+        makers["views"] = lambda: (dict.fromkeys(heights, EMPTY_MESH), read_views(folder / views.file, entries.name))
     asked = settings.representations or REPRESENTATIONS
     wanted = [name for name in makers if name in asked]
     if not wanted:
@@ -53,15 +53,3 @@ def _without(path: Path, node: str, heights: Collection[int]) -> dict[int, Mesh]
     mesh = read_mesh(path)
     replaced = [index for index, name in enumerate(mesh.nodes) if name == node]
     return dict.fromkeys(heights, mesh.select(~np.isin(mesh.face_node, replaced)))
-
-
-_NOTHING = Mesh(
-    positions=np.zeros((0, 3), np.float32),
-    normals=np.zeros((0, 3), np.float32),
-    uvs=np.zeros((0, 2), np.float32),
-    faces=np.zeros((0, 3), np.int32),
-    face_material=np.zeros(0, np.int32),
-    face_node=np.zeros(0, np.int32),
-    materials=(),
-    nodes=(),
-)

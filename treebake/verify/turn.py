@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from treebake.gl.draw import Drawing, Picture
-from treebake.images import flip_error
+from treebake.images import LUMINANCE, flip_error
 from treebake.model import Doubles, Layers, Mesh
 from treebake.verify.cameras import cameras
-from treebake.verify.metrics import GREY, LUMINANCE, SKY, over
+from treebake.verify.metrics import GREY, SKY, over
 
 _AT_ONCE = 12  # frames kept in memory
 

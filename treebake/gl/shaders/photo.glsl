@@ -40,7 +40,7 @@ layout(location = 2) out vec4 out_relief;  // slopes to the right and up, and de
 #include "lighting.glsl"
 #include "normal_map.glsl"
 
-const float STEEPEST = 4.0;
+#include "slopes.glsl"
 
 void main() {
     vec4 color = textureLod(color_map, uv, 0.0) * base_color;

@@ -5,7 +5,7 @@ uniform sampler2D coverage;
 uniform sampler2D lit;     // half as wide and high, as is the next
 uniform sampler2D relief;  // slopes of the surface in RG, depth in B
 
-const float STEEPEST = 4.0;  // slopes run from -STEEPEST to STEEPEST
+#include "slopes.glsl"
 
 struct Picture {
     vec4 bounds;  // left, bottom, right, top, in the picture's frame

@@ -1,5 +1,6 @@
-// Places the quads of slicings, of many trees in one call: for each tree the two nearest the viewer, and from above a third, blended
-// ([J00] 2.3). Quads come furthest slice first, in each step that of the slicing seen from above, of the secondary one, of the primary one.
+// Places the quads of slicings, of many trees in one call: for each tree the two nearest the viewer, and from above a
+// third, blended ([J00] 2.3). Quads come furthest slice first, in each step that of the slicing seen from above, of the
+// secondary one, of the primary one.
 #ifdef VERTEX_STAGE
 uniform mat4 to_clip;
 uniform vec3 eye;

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from treebake.checks import check, is_power_of_two
 from treebake.coverage import preserve_coverage
-from treebake.errors import SettingsError
 from treebake.flatten import FlatLeaves, flatten, plane_frames
 from treebake.gl.bake import FlatTriangles, bake_atlas
 from treebake.images import color_texels, normal_texels
@@ -79,17 +79,15 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
 
 
 def _check(settings: BillboardSettings) -> None:
-    power_of_two = settings.atlas > 0 and settings.atlas & (settings.atlas - 1) == 0
-    for name, valid, hint in (
-        ("atlas", power_of_two and 64 <= settings.atlas <= 16384, "a power of two from 64 to 16384"),
+    rules = (
+        ("atlas", is_power_of_two(settings.atlas, 64, 16384), "a power of two from 64 to 16384"),
         ("leaf_texels", settings.leaf_texels > 0, "above 0"),
         ("triangles", settings.triangles >= 2, "2 or more"),
         ("padding", settings.padding >= 1, "1 or more"),
         ("supersample", 1 <= settings.supersample <= 8, "1 to 8"),
         ("cutoff", 0.1 <= settings.cutoff <= 0.9, "0.1 to 0.9"),
-    ):
-        if not valid:
-            raise SettingsError(f"[textures] {name} is {getattr(settings, name)}; it must be {hint}")
+    )
+    check("textures", settings, rules)
 
 
 def _warn_of_one_sided_leaves(tree: Tree) -> None:

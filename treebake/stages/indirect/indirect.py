@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from treebake.errors import BudgetError, SettingsError
+from treebake.checks import check, is_power_of_two
+from treebake.errors import BudgetError
 from treebake.model import Clusters, Floats, IndirectTextures, Ints, Leaves, Tree
 from treebake.packing import pack_cells
 from treebake.placements import SHAPES, Placements
@@ -79,20 +80,16 @@ def indirect(tree: Tree, clusters: Clusters, settings: IndirectSettings) -> Indi
 
 
 def _check(settings: IndirectSettings) -> None:
-    def power_of_two(value: int) -> bool:
-        return value > 0 and value & (value - 1) == 0
-
-    for name, valid, hint in (
+    rules = (
         ("cell", settings.cell > 0, "above 0"),
         ("orientations", settings.orientations >= 0, "0 or more"),
         ("leaf_texels", 4 <= settings.leaf_texels <= 1024, "4 to 1024"),
-        ("atlas", power_of_two(settings.atlas) and 64 <= settings.atlas <= 16384, "a power of two from 64 to 16384"),
+        ("atlas", is_power_of_two(settings.atlas, 64, 16384), "a power of two from 64 to 16384"),
         ("likeness", settings.likeness >= 0, "0 or more"),
-        ("far_texels", power_of_two(settings.far_texels) and settings.far_texels <= 16, "1, 2, 4, 8 or 16"),
-        ("limit", power_of_two(settings.limit) and 64 <= settings.limit <= 16384, "a power of two from 64 to 16384"),
-    ):
-        if not valid:
-            raise SettingsError(f"[indirect] {name} is {getattr(settings, name)}; it must be {hint}")
+        ("far_texels", is_power_of_two(settings.far_texels, 1, 16), "1, 2, 4, 8 or 16"),
+        ("limit", is_power_of_two(settings.limit, 64, 16384), "a power of two from 64 to 16384"),
+    )
+    check("indirect", settings, rules)
 
 
 def _check_counts(shapes: int, billboards: int) -> None:

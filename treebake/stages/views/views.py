@@ -10,7 +10,7 @@ from treebake.checks import check, is_power_of_two
 from treebake.crossed import crossed_cards
 from treebake.geometry import join, turn_to
 from treebake.gl.photo import Shot, photograph
-from treebake.model import Doubles, Floats, Impostor, Ints, Mesh, Tree, Views
+from treebake.model import EMPTY_MESH, Doubles, Floats, Impostor, Ints, Mesh, Tree, Views
 from treebake.pictures import Part, compose, covered, place_pictures, trimmed
 from treebake.stages.views.directions import hemi_octahedron, ring
 from treebake.stages.views.support import support
@@ -80,7 +80,7 @@ def views(trees: Sequence[Tree], settings: ViewSettings) -> tuple[Impostor, ...]
             exposure=1.0,
             atlas=atlas,
         )
-        fitted = fit_brightness(plain, mesh.select(np.zeros(mesh.triangles, bool)), mesh, _FIT_HEIGHT)
+        fitted = fit_brightness(plain, EMPTY_MESH, mesh, _FIT_HEIGHT)
         made.append(Impostor(fitted, _standard(mesh, texel, settings.supersample)))
     return tuple(made)
 
