@@ -11,7 +11,8 @@ from stems import empty
 
 from treebake.errors import BudgetError, SettingsError
 from treebake.flatten import plane_frames
-from treebake.gl.draw import Drawing, Picture
+from treebake.gl.draw import Drawing
+from treebake.gl.target import Picture
 from treebake.gl.view import View
 from treebake.images import to_linear
 from treebake.model import AlphaMode, BillboardCloud, Clusters, Doubles, Material, Mesh, Texture, Tree

@@ -14,7 +14,8 @@ from trees import tree as file_of
 
 from treebake.errors import BudgetError, SettingsError
 from treebake.flatten import plane_frames
-from treebake.gl.draw import Drawing, Picture
+from treebake.gl.draw import Drawing
+from treebake.gl.target import Picture
 from treebake.gl.view import View
 from treebake.meshes import read_mesh
 from treebake.model import AlphaMode, Clusters, Doubles, IndirectTextures, Leaves, Material, Mesh, Texture, Tree

@@ -13,7 +13,7 @@ from treebake.compression import compressed_mips
 from treebake.gl import context as context_module
 from treebake.gl.context import context
 from treebake.gl.indirect import IndirectBillboards
-from treebake.gl.view import View, column_major
+from treebake.gl.view import ONE_TREE, View, column_major
 from treebake.grow import grow
 from treebake.lookup import Images, Rays, look_up, sample_texture
 from treebake.model import Doubles, IndirectTextures, Tree
@@ -65,7 +65,7 @@ def from_shader(textures: IndirectTextures, view: View, share: float, dither: fl
     target = gl.framebuffer(gl.texture((SIZE, SIZE), 4, dtype="f4"), gl.depth_renderbuffer((SIZE, SIZE)))
     with gl.scope(target, gl.DEPTH_TEST):
         target.clear(0, 0, 0, NEVER)
-        boards._boxes(gl.vertex_array(probe, []), view)
+        boards._boxes(probe, view, ONE_TREE)
     found = np.frombuffer(target.read(components=4, dtype="f4"), np.float32).reshape(-1, 4).copy()
     found[:, 0] -= 1
     boards.release()

@@ -11,7 +11,8 @@ from tests.synthetic import BACK, FRONT, joined, quad, small_tree, texture
 from tests.trees import tree
 from treebake.errors import GraphicsError
 from treebake.gl.context import context
-from treebake.gl.draw import Drawing, Picture
+from treebake.gl.draw import Drawing
+from treebake.gl.target import Picture
 from treebake.gl.view import View
 from treebake.images import to_linear
 from treebake.meshes import read_mesh
@@ -253,7 +254,7 @@ def test_close_frees_everything() -> None:
     drawing = Drawing(quad(replace(GREY, color_map=texture([[(9, 9, 9)]]))))
     drawing.picture(FRONT)
     (target,) = drawing._targets.values()
-    made = [*drawing._owned, *target._images, target.samples, target.resolved, target.count]
+    made = [*drawing._owned, *target._images, target.samples, target._resolved, target.count]
     drawing.close()
     assert {type(resource.mglo).__name__ for resource in made} == {"InvalidObject"}
 

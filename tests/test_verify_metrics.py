@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.synthetic import joined, quad, small_tree, texture
-from treebake.gl.draw import Picture
+from treebake.gl.target import Picture
 from treebake.images import flip_error, to_srgb
 from treebake.model import IndirectTextures, Material
 from treebake.verify.cost import Cost, cost_of

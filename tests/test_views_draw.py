@@ -14,7 +14,8 @@ from test_views import chosen
 from tests.synthetic import BACK, FRONT, joined, quad
 from treebake.geometry import join, turn_to
 from treebake.gl.context import context
-from treebake.gl.draw import Drawing, Picture
+from treebake.gl.draw import Drawing
+from treebake.gl.target import Picture
 from treebake.gl.view import Grove, View, looking
 from treebake.gl.views import ViewCards
 from treebake.images import to_linear

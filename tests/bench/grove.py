@@ -96,9 +96,8 @@ def _frames(source: Mesh, grove: Grove, nearest: float) -> Iterator[View]:
         aside = np.abs(grove.places[:, :3] @ turn[0])
         distance = float((ahead + np.sqrt(np.maximum(nearest**2 - aside**2, 0))).max())
         eye = turn[2] * distance + [0, float(source.bounds[0, 1]) + _EYE, 0]
-        view = looking(turn, eye, 1 / math.tan(_FIELD / 2), (0.5, 3 * distance), WINDOW[1], 0.0)
-        wide = np.diag([WINDOW[1] / WINDOW[0], 1.0, 1.0, 1.0])
-        yield View(wide @ view.to_clip, view.size, view.near, view.far)
+        depths = 0.5, 3 * distance
+        yield looking(turn, eye, 1 / math.tan(_FIELD / 2), depths, WINDOW[1], 0.0, WINDOW[0] / WINDOW[1])
 
 
 def _seen(view: View, grove: Grove, radius: float) -> Grove:
@@ -117,21 +116,9 @@ def _draw(gl: Any, target: Any, drawing: Drawing, view: View, grove: Grove) -> N
     target.depth_mask = True
     target.clear()
     with gl.scope(target, gl.DEPTH_TEST):
-        for place, turn in zip(grove.places, grove.turns, strict=True):
-            moved = View(view.to_clip @ _placed(place, float(turn)), view.size, view.near, view.far)
-            for part in drawing._parts:
-                drawing._draw(part, moved, target)
-        if drawing._overlay is not None:
-            drawing._overlay.draw(view, target, grove)
+        drawing.draw_solid(view, target, grove)
+        drawing.draw_blended(view, target, grove)
     gl.finish()
-
-
-def _placed(place: Any, turn: float) -> Any:
-    cosine, sine = math.cos(turn), math.sin(turn)
-    matrix = np.eye(4)
-    matrix[:3, :3] = place[3] * np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
-    matrix[:3, 3] = place[:3]
-    return matrix
 
 
 def _timed(work: Callable[[], None]) -> float:

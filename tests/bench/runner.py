@@ -89,6 +89,7 @@ class Runner:
         """R: the median time of one 1024 x 1024 render of the source, plain: one sample a pixel, nothing read back."""
         from treebake.gl.context import context
         from treebake.gl.draw import Drawing
+        from treebake.gl.view import ONE_TREE
         from treebake.meshes import read_mesh
         from treebake.verify.cameras import MARGIN, cameras
 
@@ -98,8 +99,7 @@ class Runner:
         def render(view: Any) -> None:
             target.clear()
             with gl.scope(target, gl.DEPTH_TEST):
-                for part in drawing._parts:
-                    drawing._draw(part, view, target)
+                drawing.draw_solid(view, target, ONE_TREE)
             gl.finish()
 
         views = [camera.view(1024 - MARGIN) for camera in cameras(mesh, (0.0, 25.0, 60.0), 8)]

@@ -5,6 +5,7 @@ from typing import Any
 
 import moderngl
 
+from treebake.gl.instances import instanced
 from treebake.gl.view import Grove, View, column_major
 from treebake.model import Doubles
 
@@ -33,12 +34,9 @@ def draw_cards(
     for name, value in {**seen, **values}.items():
         if name in shader:
             shader[name] = value
-    instances = gl.buffer(grove.instances(view.eye, center))
-    array = gl.vertex_array(shader, [(instances, "4f 2f/i", "in_place", "in_turn")])
     gl.disable(gl.CULL_FACE)
-    array.render(moderngl.TRIANGLES, vertices=vertices, instances=len(grove.turns))
-    array.release()
-    instances.release()
+    with instanced(gl, shader, grove.instances(view.eye, center)) as array:
+        array.render(moderngl.TRIANGLES, vertices=vertices)
 
 
 def far_and_near(view: View, grove: Grove, center: Doubles, size: float, pixels: float) -> tuple[Grove, Grove]:

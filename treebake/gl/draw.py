@@ -10,6 +10,7 @@ area that it covers close by. So what a tree *is*, as against what a client make
 the unfiltered alpha is tested at each of a pixel's samples, just as the edge of a modelled leaf would be.
 """
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,30 +20,18 @@ import numpy as np
 from treebake.errors import GraphicsError
 from treebake.gl.context import context, program
 from treebake.gl.indirect import IndirectBillboards
+from treebake.gl.instances import instanced
 from treebake.gl.slicings import SlicingCards
-from treebake.gl.view import View, column_major
+from treebake.gl.target import Picture, Target
+from treebake.gl.view import ONE_TREE, Grove, View, column_major
 from treebake.gl.views import ViewCards
-from treebake.model import AlphaMode, Floats, IndirectTextures, Ints, Layers, Material, Mesh, Slicings, Texture, Views
+from treebake.model import AlphaMode, IndirectTextures, Ints, Layers, Material, Mesh, Slicings, Texture, Views
 
-_SAMPLES = 4
 _RGBA8, _SRGB8_ALPHA8 = 0x8058, 0x8C43
 _INDEX_BYTES = 4
 _ALPHA_MODES = {AlphaMode.OPAQUE: 0, AlphaMode.MASK: 1, AlphaMode.BLEND: 2}
 _OVERLAYS = {IndirectTextures: IndirectBillboards, Slicings: SlicingCards, Views: ViewCards}
 _WHITE = Texture("white", np.full((1, 1, 4), 255, np.uint8))
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """What a view saw, row 0 on top.
-
-    color: (h, w, 4) float32, linear light in 0..1, premultiplied; alpha is the covered part of the pixel.
-    depth: (h, w) float32, mean distance of what covers the pixel along the optical axis in the mesh's unit; 0 where
-    nothing does.
-    """
-
-    color: Floats
-    depth: Floats
 
 
 def renderer() -> str:
@@ -61,7 +50,7 @@ class Drawing:
         self._gl = context()
         self._exact_cutouts = exact_cutouts
         self._owned: list[Any] = []  # in the order of making
-        self._targets: dict[int, _Target] = {}
+        self._targets: dict[tuple[int, int], Target] = {}
         self._textures: dict[tuple[int, bool], moderngl.Texture] = {}
         self._mesh = mesh
         order = np.argsort(mesh.face_material, kind="stable")
@@ -73,6 +62,7 @@ class Drawing:
             if last > first
         ]
         self._parts = sorted(parts, key=lambda part: part.material.alpha_mode is AlphaMode.BLEND)
+        self._solid = sum(part.material.alpha_mode is not AlphaMode.BLEND for part in parts)
         self._overlay: IndirectBillboards | SlicingCards | ViewCards | None = None
         try:
             if layers is not None:
@@ -84,43 +74,55 @@ class Drawing:
             raise
 
     def picture(self, view: View) -> Picture:
-        """Draw the mesh lit, over nothing."""
-        target = self._target(view.size)
+        """Draw one tree lit, over nothing."""
+        target = self._target(view.window)
         target.samples.depth_mask = True
         target.samples.clear()
-        gl = self._gl
-        with gl.scope(target.samples, gl.DEPTH_TEST):
-            gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
-            solid = sum(part.material.alpha_mode is not AlphaMode.BLEND for part in self._parts)
-            for part in self._parts[:solid]:
-                self._draw(part, view, target.samples)
-            if self._overlay is not None:
-                self._overlay.draw(view, target.samples)
-            for part in self._parts[solid:]:
-                self._draw(part, view, target.samples)
-        gl.copy_framebuffer(target.resolved, target.samples)
-        self._check()
-        color, depth = target.read()
-        alpha = color[..., 3]
-        # Interpolated across a sliver seen edge-on, a depth can be anything.
-        depth = np.clip(depth / np.where(alpha > 0, alpha, 1), view.near, view.far)
-        return Picture(color, np.where(alpha > 0, depth, 0).astype(np.float32))
+        with self._gl.scope(target.samples, self._gl.DEPTH_TEST):
+            self.draw_solid(view, target.samples, ONE_TREE)
+            self.draw_blended(view, target.samples, ONE_TREE)
+        return target.picture(view)
 
     def fragments(self, view: View) -> float:
         """How many fragments the view asks to be shaded, whether or not they end up hidden or cut out."""
-        target = self._target(view.size)
-        gl = self._gl
+        target = self._target(view.window)
         target.count.clear()
-        with gl.scope(target.count, gl.BLEND):
-            gl.blend_func = gl.ONE, gl.ONE
-            for part in self._parts:
-                self._cull(part.material)
+        with self._gl.scope(target.count, self._gl.BLEND):
+            self._gl.blend_func = self._gl.ONE, self._gl.ONE
+            self.count(view, ONE_TREE)
+        return target.total()
+
+    def draw_solid(self, view: View, onto: moderngl.Framebuffer, grove: Grove) -> None:
+        """Draw the part of some trees that hides what is behind it, into `onto`, the framebuffer in use."""
+        self._draw_parts(self._parts[: self._solid], view, onto, grove)
+        if isinstance(self._overlay, IndirectBillboards):
+            self._overlay.draw(view, onto, grove)
+
+    def draw_blended(self, view: View, onto: moderngl.Framebuffer, grove: Grove) -> None:
+        """Draw what is blended over what is there already: last of all, and of several drawings the farthest first."""
+        if isinstance(self._overlay, (SlicingCards, ViewCards)):
+            self._overlay.draw(view, onto, grove)
+        if self._solid < len(self._parts):
+            center = self._mesh.bounds.mean(axis=0, dtype=np.float64)
+            away = np.linalg.norm(grove.where(center) - view.eye, axis=1)
+            for tree in np.argsort(-away, kind="stable"):
+                self._draw_parts(self._parts[self._solid :], view, onto, grove.select(np.array([tree])))
+
+    def count(self, view: View, grove: Grove) -> None:
+        """Add the fragments that some trees ask to be shaded to the framebuffer in use, which adds up."""
+        if self._parts:
+            with self._instanced(self._counter, self._buffers[:1], view, grove) as array:
                 self._counter["to_clip"] = column_major(view.to_clip)
-                self._count_array.render(vertices=3 * (part.last - part.first), first=3 * part.first)
-            if self._overlay is not None:
-                self._overlay.count(view)
-        self._check()
-        return float(_pixels(target.count, 0, 1).sum(dtype=np.float64))
+                for part in self._parts:
+                    self._cull(part.material)
+                    part.render(array)
+        if self._overlay is not None:
+            self._overlay.count(view, grove)
+
+    @property
+    def calls(self) -> int:
+        """Draw calls for any number of trees of a kind; what is looked into near by and flat farther off is two."""
+        return len(self._parts) + (self._overlay is not None)
 
     def close(self) -> None:
         """Free everything on the graphics card; the drawing cannot be used afterwards."""
@@ -136,7 +138,7 @@ class Drawing:
     def _upload(self, mesh: Mesh) -> None:
         gl = self._gl
         self._program, self._counter = program("lit_exact" if self._exact_cutouts else "lit"), program("count")
-        buffers = [
+        self._buffers = [
             (self._own(gl.buffer(np.ascontiguousarray(values, np.float32))), layout, name)
             for values, layout, name in (
                 (mesh.positions, "3f", "in_position"),
@@ -145,8 +147,6 @@ class Drawing:
             )
         ]
         self._indices = self._own(gl.buffer(np.ascontiguousarray(self._faces, np.int32)))
-        self._array = self._own(gl.vertex_array(self._program, buffers, self._indices))
-        self._count_array = self._own(gl.vertex_array(self._counter, buffers[:1], self._indices))
         for part in self._parts:
             self._texture(part.material.color_map or _WHITE, srgb=True)
             if part.material.normal_map is not None:
@@ -174,13 +174,27 @@ class Drawing:
             self._textures[key] = made
         return self._textures[key]
 
-    def _draw(self, part: "_Part", view: View, onto: Any) -> None:
+    def _instanced(
+        self, shader: moderngl.Program, buffers: list[Any], view: View, grove: Grove
+    ) -> AbstractContextManager[moderngl.VertexArray]:
+        """The mesh with an instance for each tree, the nearest first: it hides most of the others."""
+        center = self._mesh.bounds.mean(axis=0, dtype=np.float64)
+        return instanced(self._gl, shader, grove.instances(view.eye, center)[::-1], buffers, self._indices)
+
+    def _draw_parts(self, parts: "list[_Part]", view: View, onto: Any, grove: Grove) -> None:
+        if parts and len(grove.turns):
+            self._gl.blend_func = self._gl.ONE, self._gl.ONE_MINUS_SRC_ALPHA
+            with self._instanced(self._program, self._buffers, view, grove) as array:
+                for part in parts:
+                    self._draw(part, view, onto, array, grove)
+
+    def _draw(self, part: "_Part", view: View, onto: Any, array: Any, grove: Grove) -> None:
         gl, material, lit = self._gl, part.material, self._program
         blend = material.alpha_mode is AlphaMode.BLEND
         (gl.enable if blend else gl.disable)(gl.BLEND)
         onto.depth_mask = not blend
         if blend:
-            self._indices.write(self._back_to_front(part, view), offset=3 * _INDEX_BYTES * part.first)
+            self._indices.write(self._back_to_front(part, view, grove), offset=3 * _INDEX_BYTES * part.first)
         self._cull(material)
         lit["to_clip"] = column_major(view.to_clip)
         lit["base_color"] = material.base_color
@@ -191,29 +205,27 @@ class Drawing:
         self._texture(material.color_map or _WHITE, srgb=True).use(0)
         if material.normal_map is not None:
             self._texture(material.normal_map, srgb=False).use(1)
-        self._array.render(vertices=3 * (part.last - part.first), first=3 * part.first)
+        part.render(array)
 
-    def _back_to_front(self, part: "_Part", view: View) -> Ints:
+    def _back_to_front(self, part: "_Part", view: View, grove: Grove) -> Ints:
+        """The faces of a part of one tree."""
         faces = self._faces[part.first : part.last]
-        row = view.to_clip[3]
-        depths = self._mesh.positions[faces].mean(axis=1) @ row[:3]
+        cosine, sine = np.cos(grove.turns[0]), np.sin(grove.turns[0])
+        turn = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+        depths = self._mesh.positions[faces].mean(axis=1) @ (view.to_clip[3, :3] @ turn)
         return np.ascontiguousarray(faces[np.argsort(-depths, kind="stable")], np.int32)
 
     def _cull(self, material: Material) -> None:
         (self._gl.disable if material.double_sided else self._gl.enable)(self._gl.CULL_FACE)
 
-    def _target(self, size: int) -> "_Target":
-        if size not in self._targets:
-            self._targets[size] = _Target(self._gl, size)
-        return self._targets[size]
+    def _target(self, window: tuple[int, int]) -> Target:
+        if window not in self._targets:
+            self._targets[window] = Target(self._gl, window)
+        return self._targets[window]
 
     def _own(self, resource: Any) -> Any:
         self._owned.append(resource)
         return resource
-
-    def _check(self) -> None:
-        if (error := self._gl.error) != "GL_NO_ERROR":
-            raise GraphicsError(f"OpenGL reports {error} while drawing; update the graphics driver")
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,36 +236,5 @@ class _Part:
     first: int
     last: int
 
-
-class _Target:
-    """The framebuffers for pictures of one size."""
-
-    def __init__(self, gl: Any, size: int) -> None:
-        square = size, size
-        samples = min(_SAMPLES, gl.max_samples)
-        self._images = [
-            gl.renderbuffer(square, 4, samples=samples, dtype="f2"),
-            gl.renderbuffer(square, 1, samples=samples, dtype="f4"),
-            gl.depth_renderbuffer(square, samples=samples),
-            gl.renderbuffer(square, 4, dtype="f2"),
-            gl.renderbuffer(square, 1, dtype="f4"),
-            gl.renderbuffer(square, 1, dtype="f4"),
-        ]
-        self.samples = gl.framebuffer(self._images[:2], self._images[2])
-        self.resolved = gl.framebuffer(self._images[3:5])
-        self.count = gl.framebuffer(self._images[5:])
-
-    def read(self) -> tuple[Floats, Floats]:
-        """Colour (h, w, 4) and depth (h, w), both premultiplied."""
-        return _pixels(self.resolved, 0, 4), _pixels(self.resolved, 1, 1)[..., 0]
-
-    def release(self) -> None:
-        for resource in (self.samples, self.resolved, self.count, *self._images):
-            resource.release()
-
-
-def _pixels(framebuffer: Any, attachment: int, channels: int) -> Floats:
-    """Read an attachment as (h, w, channels) float32, row 0 on top."""
-    raw = framebuffer.read(components=channels, attachment=attachment, dtype="f4")
-    width, height = framebuffer.size
-    return np.ascontiguousarray(np.frombuffer(raw, np.float32).reshape(height, width, channels)[::-1])
+    def render(self, array: Any) -> None:
+        array.render(vertices=3 * (self.last - self.first), first=3 * self.first)

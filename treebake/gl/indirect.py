@@ -4,8 +4,9 @@ import moderngl
 import numpy as np
 
 from treebake.gl.context import program
+from treebake.gl.instances import instanced
 from treebake.gl.textures import upload_compressed, upload_table
-from treebake.gl.view import View, column_major
+from treebake.gl.view import ONE_TREE, Grove, View, column_major
 from treebake.model import IndirectTextures
 
 _DEPTH_CLAMP = 0x864F
@@ -34,10 +35,9 @@ class IndirectBillboards:
         for name in ("leaf_color", "leaf_normal", "far_color", "far_normal"):
             self._textures[name] = upload_compressed(gl, getattr(textures, name), _HINT, srgb=name.endswith("color"))
         self._counter = program("indirect_count")
-        self._array, self._count_array = (gl.vertex_array(each, []) for each in (self._program, self._counter))
 
-    def draw(self, view: View, onto: moderngl.Framebuffer) -> None:
-        """Draw all billboards into `onto`, the framebuffer in use; depth is tested and written."""
+    def draw(self, view: View, onto: moderngl.Framebuffer, grove: Grove = ONE_TREE) -> None:
+        """Draw all billboards of all trees into `onto`, the framebuffer in use; depth is tested and written."""
         onto.depth_mask = True
         shader = self._program
         for unit, (name, texture) in enumerate(self._textures.items()):
@@ -45,24 +45,27 @@ class IndirectBillboards:
             shader[name] = unit
         shader["largest"] = self._largest
         shader["from_clip"] = column_major(np.asarray(np.linalg.inv(view.to_clip), np.float64))
-        shader["window"] = (view.size, view.size)
+        shader["window"] = view.window
         shader["fade"] = FADE
         self._gl.disable(self._gl.BLEND)
-        self._boxes(self._array, view)
+        self._boxes(shader, view, grove)
 
-    def count(self, view: View) -> None:
+    def count(self, view: View, grove: Grove = ONE_TREE) -> None:
         """Add the rays that every fragment of the billboards casts to the framebuffer in use."""
         self._textures["billboards"].use(0)
         self._counter["billboards"] = 0
-        self._boxes(self._count_array, view)
+        self._boxes(self._counter, view, grove)
 
-    def _boxes(self, array: moderngl.VertexArray, view: View) -> None:
+    def _boxes(self, shader: moderngl.Program, view: View, grove: Grove) -> None:
+        if not len(grove.turns):
+            return
         gl = self._gl
-        array.program["to_clip"] = column_major(view.to_clip)
+        shader["to_clip"] = column_major(view.to_clip)
         gl.enable(gl.CULL_FACE)
         gl.cull_face = "front"  # a viewer inside a box sees its far sides only
         gl.enable_direct(_DEPTH_CLAMP)  # of which some may lie beyond what the view sees
-        array.render(moderngl.TRIANGLES, vertices=_CORNERS * self._billboards)
+        with instanced(gl, shader, grove.instances(view.eye, np.zeros(3))[::-1]) as array:  # the nearest first
+            array.render(moderngl.TRIANGLES, vertices=_CORNERS * self._billboards)
         gl.disable_direct(_DEPTH_CLAMP)
         gl.cull_face = "back"
 
@@ -70,5 +73,3 @@ class IndirectBillboards:
         """Free everything on the graphics card."""
         for texture in self._textures.values():
             texture.release()
-        self._array.release()
-        self._count_array.release()

@@ -42,9 +42,9 @@ class SlicingCards:
         self._draw(self._relief, view, near)
         onto.depth_mask = True
 
-    def count(self, view: View) -> None:
+    def count(self, view: View, grove: Grove = ONE_TREE) -> None:
         """Add the fragments that every slice asks for to the framebuffer in use."""
-        self._draw(self._counter, view, ONE_TREE)
+        self._draw(self._counter, view, grove)
 
     def release(self) -> None:
         """Free everything on the graphics card."""

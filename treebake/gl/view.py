@@ -10,16 +10,23 @@ from treebake.model import Doubles, Floats
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Where from and how large: a square picture.
+    """Where from and how large.
 
     to_clip: (4, 4) float64, takes a world position (column) to OpenGL clip space, whose w is the depth along the
-    optical axis. size: pixels a side. near, far: the depths between which it sees.
+    optical axis. size: pixels from top to bottom. near, far: the depths between which it sees. aspect: of the picture,
+    its width over its height.
     """
 
     to_clip: Doubles
     size: int
     near: float
     far: float
+    aspect: float = 1.0
+
+    @property
+    def window(self) -> tuple[int, int]:
+        """Pixels from left to right, and from top to bottom."""
+        return round(self.size * self.aspect), self.size
 
     @property
     def eye(self) -> Doubles:
@@ -33,11 +40,20 @@ class View:
         return float(self.size / 2 * np.linalg.norm(self.to_clip[1, :3]))
 
 
-def looking(turn: Doubles, eye: Doubles, scale: float, depths: tuple[float, float], size: int, shift: float) -> View:
+def looking(
+    turn: Doubles,
+    eye: Doubles,
+    scale: float,
+    depths: tuple[float, float],
+    size: int,
+    shift: float,
+    aspect: float = 1.0,
+) -> View:
     """A perspective view from `eye`.
 
-    turn: (3, 3), rows right, up, towards the viewer. scale: of what lies at a depth of one, to half the picture.
-    depths: that it sees, near and far. size: pixels a side. shift: pixels by which the picture is moved to the right.
+    turn: (3, 3), rows right, up, towards the viewer. scale: of what lies at a depth of one, to half the picture's
+    height. depths: that it sees, near and far. size: pixels from top to bottom. shift: pixels by which the picture is
+    moved to the right. aspect: width over height.
     """
     to_eye = np.eye(4)
     to_eye[:3, :3] = turn
@@ -45,13 +61,13 @@ def looking(turn: Doubles, eye: Doubles, scale: float, depths: tuple[float, floa
     near, far = depths
     to_clip = np.array(
         [
-            [scale, 0.0, -2 * shift / size, 0.0],
+            [scale / aspect, 0.0, -2 * shift / (aspect * size), 0.0],
             [0.0, scale, 0.0, 0.0],
             [0.0, 0.0, (near + far) / (near - far), 2 * near * far / (near - far)],
             [0.0, 0.0, -1.0, 0.0],
         ]
     )
-    return View(to_clip @ to_eye, size, near, far)
+    return View(to_clip @ to_eye, size, near, far, aspect)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +75,12 @@ class Grove:
     """Where trees of one kind stand.
 
     places: (n, 4) float32, the tree's origin in the world, and its scale. turns: (n,) float32, radians about +Y, from
-    +Z towards +X.
+    +Z towards +X. opacities: (n,) float32, 0 to 1, of trees that are changing their representation; None: 1 for all.
     """
 
     places: Floats
     turns: Floats
+    opacities: Floats | None = None
 
     def where(self, point: Doubles) -> Doubles:
         """The place of one point (3,) of the tree in the world, for each of the trees: (n, 3) float64."""
@@ -72,15 +89,17 @@ class Grove:
         turned = np.stack([cosine * x + sine * z, np.full_like(cosine, y), cosine * z - sine * x], axis=1)
         return np.asarray(self.places[:, :3] + self.places[:, 3:] * turned, np.float64)
 
-    def select(self, chosen: NDArray[np.bool_]) -> "Grove":
-        """Some of the trees: chosen (n,) bool."""
-        return Grove(self.places[chosen], self.turns[chosen])
+    def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Grove":
+        """Some of the trees: chosen (n,) bool, or their numbers."""
+        opacities = None if self.opacities is None else self.opacities[chosen]
+        return Grove(self.places[chosen], self.turns[chosen], opacities)
 
     def instances(self, eye: Doubles, center: Doubles) -> Floats:
-        """Rows for the shader, (n, 6) float32, the tree whose center is farthest from `eye` first."""
-        rows = np.column_stack([self.places, np.cos(self.turns), np.sin(self.turns)])
+        """Rows for `grove.glsl`, (n, 7) float32, the tree whose center is farthest from `eye` first."""
+        opacities = np.ones(len(self.turns)) if self.opacities is None else self.opacities
+        rows = np.column_stack([self.places, np.cos(self.turns), np.sin(self.turns), opacities])
         away = np.linalg.norm(self.where(center) - eye, axis=1)
-        return np.asarray(rows[np.argsort(-away, kind="stable")], np.float32)
+        return np.ascontiguousarray(rows[np.argsort(-away, kind="stable")], np.float32)
 
 
 ONE_TREE = Grove(np.array([[0, 0, 0, 1]], np.float32), np.zeros(1, np.float32))

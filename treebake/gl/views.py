@@ -47,9 +47,9 @@ class ViewCards:
         self._draw(self._plain, view, far)
         self._draw(self._relief, view, near)
 
-    def count(self, view: View) -> None:
+    def count(self, view: View, grove: Grove = ONE_TREE) -> None:
         """Add the fragments that the card asks for to the framebuffer in use."""
-        self._draw(self._counter, view, ONE_TREE)
+        self._draw(self._counter, view, grove)
 
     def release(self) -> None:
         """Free everything on the graphics card."""

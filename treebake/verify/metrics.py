@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import correlate1d
 
-from treebake.gl.draw import Picture
+from treebake.gl.target import Picture
 from treebake.images import LUMINANCE, flip_error, to_srgb
 from treebake.model import Doubles, Floats
 

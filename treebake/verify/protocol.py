@@ -10,7 +10,8 @@ from threading import Lock
 import numpy as np
 
 from treebake.errors import MeshError, SettingsError
-from treebake.gl.draw import Drawing, Picture, renderer
+from treebake.gl.draw import Drawing, renderer
+from treebake.gl.target import Picture
 from treebake.images import flip_error
 from treebake.model import Doubles, Floats, Layers, Mesh
 from treebake.verify.cameras import CLOSE_UP, Camera, CloseUp, cameras

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from treebake.errors import WorkspaceError
 from treebake.files import atomic
-from treebake.gl.draw import Drawing, Picture, renderer
+from treebake.gl.draw import Drawing, renderer
+from treebake.gl.target import Picture
 from treebake.model import Doubles, Floats, Mesh
 from treebake.verify.cameras import Camera, CloseUp
 from treebake.verify.metrics import Scores, score, score_all
@@ -30,7 +31,10 @@ _PACKAGE = Path(__file__).parents[1]
 _CODE = (
     "images.py",
     "gl/draw.py",
+    "gl/target.py",
     "gl/view.py",
+    "gl/shaders/fade.glsl",
+    "gl/shaders/grove.glsl",
     "gl/shaders/lighting.glsl",
     "gl/shaders/lit.glsl",
     "gl/shaders/lit_exact.glsl",

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from treebake.gl.draw import Drawing, Picture
+from treebake.gl.draw import Drawing
+from treebake.gl.target import Picture
 from treebake.images import LUMINANCE, flip_error
 from treebake.model import Doubles, Layers, Mesh
 from treebake.verify.cameras import cameras

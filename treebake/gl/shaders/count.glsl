@@ -3,10 +3,12 @@
 #ifdef VERTEX_STAGE
 uniform mat4 to_clip;
 
+#include "grove.glsl"
+
 in vec3 in_position;
 
 void main() {
-    gl_Position = to_clip * vec4(in_position, 1.0);
+    gl_Position = to_clip * vec4(turned_point(in_position), 1.0);
 }
 #endif
 

@@ -1,6 +1,7 @@
 // Where each tree of a draw call stands: an instance a tree.
 in vec4 in_place;  // its origin in the world, and its scale
 in vec2 in_turn;   // cosine and sine of its turn about +Y, from +Z towards +X
+in float in_opacity;  // less than 1 while it changes its representation
 
 float tree_scale() {
     return in_place.w;

@@ -7,6 +7,7 @@
 #ifdef FRAGMENT_STAGE
 #include "lighting.glsl"
 #include "indirect_lookup.glsl"
+#include "fade.glsl"
 
 uniform mat4 to_clip;
 uniform mat4 from_clip;
@@ -16,6 +17,9 @@ uniform sampler2D far_color;
 uniform sampler2D far_normal;
 
 flat in int billboard;
+flat in vec4 standing;
+flat in vec2 turning;
+flat in float opacity;
 
 layout(location = 0) out vec4 color;
 layout(location = 1) out vec4 depth;
@@ -77,7 +81,12 @@ bool meets_far(Billboard board, vec3 point, float share, float sample_width, boo
 }
 
 void main() {
+    if (faded_out(opacity)) discard;
     Billboard board = read_billboard(billboard);
+    // As if the tree stood upright at its own origin, in its own size, and the world were moved instead.
+    mat3 turn = mat3(turning.x, 0.0, -turning.y, 0.0, 1.0, 0.0, turning.y, 0.0, turning.x);
+    board.turn = board.turn * transpose(turn) / standing.w;
+    board.shift -= board.turn * standing.xyz;
     vec2 place = (floor(gl_FragCoord.xy) + gl_SamplePosition) / window * 2.0 - 1.0;  // makes the shader run per sample
     vec3 near = unprojected(vec3(place, -1.0));
     vec3 far = unprojected(vec3(place, 1.0));
@@ -103,7 +112,7 @@ void main() {
     }
     vec4 clip = to_clip * vec4(near + hit.along * (far - near), 1.0);
     gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;
-    vec3 normal = normalize(surface.normal * board.turn);  // transposed: back to the tree's axes
+    vec3 normal = normalize(surface.normal * board.turn);  // transposed: back to the world's axes
     color = vec4(lit(surface.albedo, normal), 1.0);
     depth = vec4(clip.w, 0.0, 0.0, 1.0);
 }

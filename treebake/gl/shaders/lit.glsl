@@ -8,20 +8,24 @@
 #ifdef VERTEX_STAGE
 uniform mat4 to_clip;
 
+#include "grove.glsl"
+
 in vec3 in_position;
 in vec3 in_normal;
 in vec2 in_uv;
 
+flat out float opacity;
 out vec3 position;
 out vec3 normal;
 out vec2 uv;
 centroid out float range;
 
 void main() {
-    position = in_position;
-    normal = in_normal;
+    opacity = in_opacity;
+    position = turned_point(in_position);
+    normal = turned(mat3(1.0)) * in_normal;
     uv = in_uv;
-    gl_Position = to_clip * vec4(in_position, 1.0);
+    gl_Position = to_clip * vec4(position, 1.0);
     range = gl_Position.w;
 }
 #endif
@@ -40,6 +44,7 @@ uniform bool has_normal_map;
 uniform int alpha_mode;
 uniform float alpha_cutoff;
 
+flat in float opacity;
 in vec3 position;
 in vec3 normal;
 in vec2 uv;
@@ -49,6 +54,7 @@ layout(location = 0) out vec4 color;  // premultiplied
 layout(location = 1) out vec4 depth;  // premultiplied, along the optical axis; only x is kept
 
 #include "normal_map.glsl"
+#include "fade.glsl"
 
 #ifdef EXACT_CUTOUTS
 // Where a pixel's 4 samples lie, from its centre: the standard pattern.
@@ -71,6 +77,7 @@ vec4 cut_out(out int passed) {
 #endif
 
 void main() {
+    if (faded_out(opacity)) discard;
     float side = gl_FrontFacing ? 1.0 : -1.0;
     vec4 albedo = base_color * texture(color_map, uv);
     vec3 facing = side * normalize(normal);

@@ -53,7 +53,7 @@ void main() {
     bool far = size * pixels < far_height;
     if (far ? step_ > 0 : step_ < dropped) return;
     float most = max(weights.x, max(weights.y, weights.z));
-    opacity = min((1.0 + brightness * (1.0 - most)) * weights[which], 1.0);
+    opacity = min((1.0 + brightness * (1.0 - most)) * weights[which], 1.0) * in_opacity;
     if (opacity <= 0.0) return;
 
     int slicing = which == 0 ? orientations : (int(which == 1 ? next : nearest) + 2 * orientations) % orientations;
