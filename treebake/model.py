@@ -349,7 +349,27 @@ class Views:
         return 6
 
 
-Layers = IndirectTextures | Slicings | Views  # what a shader of ours draws
+@dataclass(frozen=True, eq=False)
+class LeafCards:
+    """Each leaf on a card of its own, with the images of indirect textures.
+
+    cards: (N, 3, 4) float32, in the tree's frame: center and shape; half the width along the image's right, and -1
+    where the image is reversed sidewards; half the height along its down, and 1 for a twig, which turns about it to
+    face the viewer. shapes, leaf_color, leaf_normal: as in IndirectTextures.
+    """
+
+    cards: Floats
+    shapes: Floats
+    leaf_color: Texture
+    leaf_normal: Texture
+
+    @property
+    def triangles(self) -> int:
+        """Two for each leaf."""
+        return 2 * len(self.cards)
+
+
+Layers = IndirectTextures | LeafCards | Slicings | Views  # what a shader of ours draws
 
 
 @dataclass(frozen=True, eq=False)

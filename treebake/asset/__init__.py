@@ -1,6 +1,6 @@
 """The published asset: the one place that knows its files. FORMAT.md describes them."""
 
-from treebake.asset.indirect import indirect_bytes, read_indirect
+from treebake.asset.indirect import indirect_bytes, leaf_card_bytes, read_indirect
 from treebake.asset.manifest import Asset, Level, Manifest
 from treebake.asset.pictures import atlas_bytes, read_slicings, read_views
 from treebake.asset.read import read_asset
@@ -13,6 +13,7 @@ __all__ = [
     "Manifest",
     "atlas_bytes",
     "indirect_bytes",
+    "leaf_card_bytes",
     "read_asset",
     "read_indirect",
     "read_slicings",

@@ -1,5 +1,6 @@
 """The indirect textures in a GLB: its root's `extras.treebake.indirect`."""
 
+from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from treebake.compression import block_bytes
 from treebake.formats.gltf_file import GltfFile
 from treebake.glb import write_glb
 from treebake.lookup import LIST_BITS, ROW_BITS
-from treebake.model import IndirectTextures, Longs, Mesh, Texture
+from treebake.model import IndirectTextures, LeafCards, Longs, Mesh, Texture
 
 TABLES = {  # name: values of one texel, texels of one row (0: of the image's own size)
     "billboards": (4, 5),
@@ -57,10 +58,17 @@ def _read(file: GltfFile, extras: Extras) -> tuple[IndirectTextures, str]:
 def indirect_bytes(textures: IndirectTextures) -> int:
     """Bytes on the graphics card: tables as they are; colours BC3, normals BC5 and heights BC4, with all their mips."""
     total = sum(int(getattr(textures, name).nbytes) for name in TABLES)
-    for name, block in (("leaf_color", 16), ("leaf_normal", 16 + 8), ("far_color", 16), ("far_normal", 16)):
-        height, width = getattr(textures, name).pixels.shape[:2]
-        total += block_bytes(width, height, block)
-    return total
+    return total + _image_bytes(textures, ("leaf_color", "leaf_normal", "far_color", "far_normal"))
+
+
+def leaf_card_bytes(leaves: LeafCards) -> int:
+    """The same of leaves on cards of their own."""
+    return leaves.cards.nbytes + leaves.shapes.nbytes + _image_bytes(leaves, ("leaf_color", "leaf_normal"))
+
+
+def _image_bytes(holder: IndirectTextures | LeafCards, names: Iterable[str]) -> int:
+    images = [(name, getattr(holder, name).pixels.shape) for name in names]
+    return sum(block_bytes(w, h, 16 + 8 * (name == "leaf_normal")) for name, (h, w, _) in images)
 
 
 def _table(file: GltfFile, where: IndirectExtras, name: str) -> np.ndarray:

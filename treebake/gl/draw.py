@@ -21,16 +21,28 @@ from treebake.errors import GraphicsError
 from treebake.gl.context import context, program
 from treebake.gl.indirect import IndirectBillboards
 from treebake.gl.instances import instanced
+from treebake.gl.leaf_quads import LeafQuads
 from treebake.gl.slicings import SlicingCards
 from treebake.gl.target import Picture, Target
 from treebake.gl.view import ONE_TREE, Grove, View, column_major
 from treebake.gl.views import ViewCards
-from treebake.model import AlphaMode, IndirectTextures, Ints, Layers, Material, Mesh, Slicings, Texture, Views
+from treebake.model import (
+    AlphaMode,
+    IndirectTextures,
+    Ints,
+    Layers,
+    LeafCards,
+    Material,
+    Mesh,
+    Slicings,
+    Texture,
+    Views,
+)
 
 _RGBA8, _SRGB8_ALPHA8 = 0x8058, 0x8C43
 _INDEX_BYTES = 4
 _ALPHA_MODES = {AlphaMode.OPAQUE: 0, AlphaMode.MASK: 1, AlphaMode.BLEND: 2}
-_OVERLAYS = {IndirectTextures: IndirectBillboards, Slicings: SlicingCards, Views: ViewCards}
+_OVERLAYS = {IndirectTextures: IndirectBillboards, LeafCards: LeafQuads, Slicings: SlicingCards, Views: ViewCards}
 _WHITE = Texture("white", np.full((1, 1, 4), 255, np.uint8))
 
 
@@ -63,7 +75,7 @@ class Drawing:
         ]
         self._parts = sorted(parts, key=lambda part: part.material.alpha_mode is AlphaMode.BLEND)
         self._solid = sum(part.material.alpha_mode is not AlphaMode.BLEND for part in parts)
-        self._overlay: IndirectBillboards | SlicingCards | ViewCards | None = None
+        self._overlay: IndirectBillboards | LeafQuads | SlicingCards | ViewCards | None = None
         try:
             if layers is not None:
                 self._overlay = self._own(_OVERLAYS[type(layers)](self._gl, layers))
@@ -95,7 +107,7 @@ class Drawing:
     def draw_solid(self, view: View, onto: moderngl.Framebuffer, grove: Grove) -> None:
         """Draw the part of some trees that hides what is behind it, into `onto`, the framebuffer in use."""
         self._draw_parts(self._parts[: self._solid], view, onto, grove)
-        if isinstance(self._overlay, IndirectBillboards):
+        if isinstance(self._overlay, (IndirectBillboards, LeafQuads)):
             self._overlay.draw(view, onto, grove)
 
     def draw_blended(self, view: View, onto: moderngl.Framebuffer, grove: Grove) -> None:

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from treebake.asset import atlas_bytes, indirect_bytes
+from treebake.asset import atlas_bytes, indirect_bytes, leaf_card_bytes
 from treebake.compression import block_bytes
-from treebake.model import IndirectTextures, Layers, Mesh, Slicings, Texture
+from treebake.model import IndirectTextures, Layers, LeafCards, Mesh, Slicings, Texture
 
 _BOX = 12  # triangles of a thick billboard
 _BLOCK = 16  # bytes of 4 x 4 texels: BC3, BC5 or BC7
@@ -35,6 +35,8 @@ def cost_of(mesh: Mesh, layers: Layers | None = None) -> Cost:
         return cost
     if isinstance(layers, IndirectTextures):
         triangles, size = _BOX * len(layers.billboards), indirect_bytes(layers)
+    elif isinstance(layers, LeafCards):
+        triangles, size = layers.triangles, leaf_card_bytes(layers)
     else:
         table = layers.slices if isinstance(layers, Slicings) else layers.pictures
         triangles, size = layers.triangles, atlas_bytes(layers.atlas) + table.nbytes

@@ -57,8 +57,7 @@ layout(location = 1) out vec4 depth;  // premultiplied, along the optical axis; 
 #include "fade.glsl"
 
 #ifdef EXACT_CUTOUTS
-// Where a pixel's 4 samples lie, from its centre: the standard pattern.
-const vec2 SAMPLES[4] = vec2[](vec2(-0.125, -0.375), vec2(0.375, -0.125), vec2(-0.375, 0.125), vec2(0.125, 0.375));
+#include "samples.glsl"
 
 // Tests the unfiltered alpha at each sample: returns the mean colour of those that pass, and their bits in `passed`.
 vec4 cut_out(out int passed) {

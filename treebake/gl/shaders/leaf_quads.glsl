@@ -1,0 +1,72 @@
+// Draws leaves on cards of their own. Their outline is tested at each of a pixel's samples, as that of a modelled leaf is.
+#extension GL_ARB_sample_shading : require  // for gl_SampleMask
+#include "leaf_quads_corners.glsl"
+
+#ifdef FRAGMENT_STAGE
+uniform int samples;  // of a pixel: 1 or 4
+uniform float focus;  // pixels that a unit takes up at a depth of one
+uniform sampler2D leaf_color;
+uniform sampler2D leaf_normal;
+
+flat in vec4 image;
+flat in vec4 thresholds;
+flat in vec4 axes[3];
+flat in vec2 texels;
+flat in float side;
+flat in float opacity;
+in vec2 place;
+
+layout(location = 0) out vec4 color;
+layout(location = 1) out vec4 depth;
+
+#include "lighting.glsl"
+#include "fade.glsl"
+#include "samples.glsl"
+
+const float MOST_LOD = 4.0;  // mips keep the images of the leaves apart so far
+
+vec2 in_image(vec2 at, vec2 inner) {
+    vec2 unit = clamp(at * 0.5 + 0.5, 0.0, 1.0);
+    vec2 size = abs(image.zw);
+    vec2 from_corner = clamp(unit * size, inner, size - inner);
+    return image.xy + from_corner * sign(image.zw);
+}
+
+void main() {
+    if (faded_out(opacity)) discard;
+    float range = 1.0 / gl_FragCoord.w;
+    bool twig = axes[2].w > 0.5;
+    vec2 atlas = vec2(textureSize(leaf_color, 0));
+    vec2 size = abs(image.zw) * atlas;
+    // A leaf's slant does not count: what is lost in detail would be gained in holes.
+    float dense = max(texels.x * atlas.x, texels.y * atlas.y) * 0.5 * range / focus;  // texels to a pixel
+    float most = clamp(log2(max(min(size.x, size.y), 1.0)) - 2.0, 0.0, MOST_LOD);  // the image is four texels wide there
+    float lod = clamp(log2(max(dense / (samples > 1 ? 2.0 : 1.0), 1e-6)), 0.0, most);
+    float threshold = lod < 1.0 ? mix(0.5, thresholds.x, lod)
+                    : lod < 2.0 ? mix(thresholds.x, thresholds.y, lod - 1.0)
+                    : lod < 3.0 ? mix(thresholds.y, thresholds.z, lod - 2.0)
+                                : mix(thresholds.z, thresholds.w, lod - 3.0);
+    vec2 inner = min(0.5 * exp2(ceil(lod)) / atlas, abs(image.zw) / 2.0);
+    gl_SampleMask[0] = ~0;
+    if (!twig && samples > 1) {
+        vec2 dx = dFdx(place);
+        vec2 dy = dFdy(place);
+        int passed = 0;
+        for (int i = 0; i < 4; ++i) {
+            vec2 at = in_image(place + SAMPLES[i].x * dx + SAMPLES[i].y * dy, inner);
+            if (textureLod(leaf_color, at, lod).a >= threshold) passed |= 1 << i;
+        }
+        gl_SampleMask[0] = passed;
+    }
+    vec2 uv = in_image(place, inner);
+    vec4 texel = textureLod(leaf_color, uv, lod);
+    if (!twig && samples == 1 && texel.a < threshold) discard;
+    vec2 bump = textureLod(leaf_normal, uv, lod).rg * 2.0 - 1.0;
+    bump.x *= sign(image.z);
+    vec3 normal = side * (bump.x * axes[0].xyz - bump.y * axes[1].xyz
+                          - sqrt(max(1.0 - dot(bump, bump), 0.0)) * axes[2].xyz);
+    if (twig) normal = place.x * axes[0].xyz - side * sqrt(max(1.0 - place.x * place.x, 0.0)) * axes[2].xyz;
+    color = vec4(lit(texel.rgb, normalize(normal)), 1.0);
+    depth = vec4(range, 0.0, 0.0, 1.0);
+}
+#endif
