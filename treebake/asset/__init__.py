@@ -1,7 +1,7 @@
 """The published asset: the one place that knows its files. FORMAT.md describes them."""
 
 from treebake.asset.indirect import indirect_bytes, leaf_card_bytes, read_indirect
-from treebake.asset.manifest import Asset, Level, Manifest
+from treebake.asset.manifest import Asset, LeftOut, Level, Manifest, Rung
 from treebake.asset.pictures import atlas_bytes, read_slicings, read_views
 from treebake.asset.read import read_asset
 from treebake.asset.write import SHARED, write_asset, write_shared_views
@@ -9,8 +9,10 @@ from treebake.asset.write import SHARED, write_asset, write_shared_views
 __all__ = [
     "SHARED",
     "Asset",
+    "LeftOut",
     "Level",
     "Manifest",
+    "Rung",
     "atlas_bytes",
     "indirect_bytes",
     "leaf_card_bytes",

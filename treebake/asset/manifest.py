@@ -86,6 +86,32 @@ class ViewsEntry:
 
 
 @dataclass(frozen=True)
+class Rung:
+    """One step of the ladder. level: of a cloud, its place in `levels`. min_height: the height on screen, in pixels of
+    the tree's bounding sphere, down to which it is drawn. flip_ratio: FLIP over floor(1 px), measured at the greatest
+    height from which it is drawn; up to 1 is invisible.
+    """
+
+    representation: str  # "leaves", "indirect", "cloud", "slicings" or "views"
+    file: str
+    level: int | None
+    min_height: int
+    flip_ratio: float
+    triangles: int
+    gpu_bytes: int
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A representation that is on no rung, and why."""
+
+    representation: str
+    file: str
+    level: int | None
+    reason: str
+
+
+@dataclass(frozen=True)
 class Image:
     """A loose copy of a texture, for engines. size: width and height in texels."""
 
@@ -107,6 +133,8 @@ class Manifest:
     indirect: Indirect | None = None  # these three where there is foliage and they were baked
     slicings: SlicingsEntry | None = None
     views: ViewsEntry | None = None
+    ladder: tuple[Rung, ...] = ()  # from near to far; empty where it was not measured
+    left_out: tuple[LeftOut, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -41,16 +41,32 @@ def score(source: Picture, candidate: Picture) -> Scores:
     both = (ours >= 0.5) & (theirs >= 0.5)
     box = _box(union > 0)  # all pixels outside are the same background, so errors need not be computed there
     pairs = [(over(source, background)[box], over(candidate, background)[box]) for background in (SKY, GREY)]
-    flip = sum(flip_error(a, b).sum(dtype=np.float64) for a, b in pairs) / (2 * union.size)
     dissimilarity = sum((1 - similarity(a, b)).sum(dtype=np.float64) for a, b in pairs) / (2 * union.size)
     figures = (
-        flip,
+        flip(source, candidate),
         1 - dissimilarity,
         np.minimum(ours, theirs).sum(dtype=np.float64) / union.sum(dtype=np.float64) if union.any() else 1.0,
         ours.sum(dtype=np.float64),
         np.abs(candidate.depth - source.depth)[both].mean(dtype=np.float64) if both.any() else np.nan,
     )
     return Scores(*(np.array([figure], np.float64) for figure in figures))
+
+
+def flip(one: Picture, other: Picture) -> float:
+    """FLIP between two pictures: mean over the window and both backgrounds."""
+    union = np.maximum(one.color[..., 3], other.color[..., 3])
+    box = _box(union > 0)
+    errors = [flip_error(over(one, ground)[box], over(other, ground)[box]) for ground in (SKY, GREY)]
+    return float(sum(error.sum(dtype=np.float64) for error in errors) / (2 * union.size))
+
+
+def flips(ones: Iterable[Picture], others: Iterable[Picture]) -> Doubles:
+    """FLIP of the pairs, (n,) float64. Pictures are drawn in this thread, where OpenGL lives, while two others score."""
+    pool = ThreadPoolExecutor(2)
+    try:
+        return np.array(list(pool.map(flip, ones, others)))
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def score_all(score_view: Callable[..., Scores], *inputs: Iterable[Any]) -> Scores:

@@ -24,10 +24,11 @@ from treebake.verify.turn import Turn, turn
 
 LOG = logging.getLogger("treebake")
 
-REPRESENTATIONS = ("cloud", "cloud_same_bytes", "indirect", "slicings", "views")
+REPRESENTATIONS = ("cloud", "cloud_same_bytes", "indirect", "leaves", "slicings", "views")
 JUDGED = (
     "cloud",
     "indirect",
+    "leaves",
     "slicings",
     "views",
     "candidate",
@@ -45,8 +46,8 @@ class VerifySettings:
     quick: bool = False  # only a third of the views, only at 256 pixels, and not close up
     turn: int = 0  # height in pixels at which the tree is looked at from all round; 0: it is not, or 16 to 2048
     frames: int = 360  # of that turn, 2 or more
-    representations: tuple[str, ...] = ()  # of an asset: "cloud", "cloud_same_bytes", "indirect", "slicings",
-    # "views"; none given: all
+    representations: tuple[str, ...] = ()  # of an asset: "cloud", "cloud_same_bytes", "indirect", "leaves",
+    # "slicings", "views"; none given: all
     thresholds: dict[str, float | dict[str, float]] = field(default_factory=dict)
     # bounds on the candidate's figures: a figure's name, with _min or _max (default), to a value, or to one per height,
     # e.g. { flip_ratio = { 512 = 1.2, close = 1.0 }, coverage_min = 0.98 }

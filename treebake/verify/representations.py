@@ -7,6 +7,7 @@ import numpy as np
 
 from treebake.asset import Asset, indirect_bytes, read_indirect, read_slicings, read_views
 from treebake.errors import SettingsError
+from treebake.leaf_cards import leaf_cards
 from treebake.meshes import read_mesh
 from treebake.model import EMPTY_MESH, Layers, Mesh
 from treebake.verify.protocol import REPRESENTATIONS, VerifySettings
@@ -21,14 +22,19 @@ def representations(asset: Asset, heights: Collection[int], settings: VerifySett
     Raises AssetError where a file is damaged, and SettingsError where the asset has nothing of what is asked for.
     """
     entries, folder = asset.manifest, asset.folder
+
+    def beside(path: Path, node: str) -> dict[int, Mesh]:
+        return dict.fromkeys(heights, without(read_mesh(path), node))
+
     makers: dict[str, Callable[[], Drawn]] = {"cloud": lambda: (_cloud(asset, heights, None), None)}
     if entries.indirect:
         full = folder / entries.indirect.file
         makers["cloud_same_bytes"] = lambda: (_cloud(asset, heights, indirect_bytes(read_indirect(full))), None)
-        makers["indirect"] = lambda: (_without(full, "cloud", heights), read_indirect(full))
+        makers["indirect"] = lambda: (beside(full, "cloud"), read_indirect(full))
+        makers["leaves"] = lambda: (beside(full, "cloud"), leaf_cards(read_indirect(full)))
     if entries.slicings:
         sliced = folder / entries.slicings.file
-        makers["slicings"] = lambda: (_without(sliced, "slices", heights), read_slicings(sliced))
+        makers["slicings"] = lambda: (beside(sliced, "slices"), read_slicings(sliced))
     if views := entries.views:
         makers["views"] = lambda: (dict.fromkeys(heights, EMPTY_MESH), read_views(folder / views.file, entries.name))
     asked = settings.representations or REPRESENTATIONS
@@ -48,8 +54,7 @@ def _cloud(asset: Asset, heights: Collection[int], limit: int | None) -> dict[in
     return {height: levels[asset.level_for(height)] for height in heights}
 
 
-def _without(path: Path, node: str, heights: Collection[int]) -> dict[int, Mesh]:
+def without(mesh: Mesh, node: str) -> Mesh:
     """What a file shows beside the node that layers take the place of."""
-    mesh = read_mesh(path)
     replaced = [index for index, name in enumerate(mesh.nodes) if name == node]
-    return dict.fromkeys(heights, mesh.select(~np.isin(mesh.face_node, replaced)))
+    return mesh.select(~np.isin(mesh.face_node, replaced))
