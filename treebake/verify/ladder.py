@@ -5,6 +5,7 @@ the one to draw. Cheap is what asks for the least *work*: triangles and shaded f
 ladder does not hang on how busy the machine was. Where nothing is invisible, what differs least is drawn.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
@@ -147,7 +148,7 @@ def _rungs(
 
 def _check(settings: LadderSettings) -> None:
     heights = settings.heights
-    falling = all(above > below for above, below in zip(heights, heights[1:], strict=False))
+    falling = all(above > below for above, below in itertools.pairwise(heights))
     rules = (
         (
             "heights",
@@ -179,7 +180,7 @@ class _Judge:
         self.known = reference(self.source, None, self.directions, height, self.cache, lambda _: None)
 
     def ratio(self, candidate: int) -> float:
-        """Measured at this height; infinite where, at the height above, there was no hope that it would fall below 1."""
+        """Measured at this height; infinite where that at the height above left no hope."""
         key = candidate, self.height
         above = self.ratios.get((candidate, self.before), 0.0)
         if key not in self.ratios and above > _HOPELESS:

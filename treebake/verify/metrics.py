@@ -61,7 +61,7 @@ def flip(one: Picture, other: Picture) -> float:
 
 
 def flips(ones: Iterable[Picture], others: Iterable[Picture]) -> Doubles:
-    """FLIP of the pairs, (n,) float64. Pictures are drawn in this thread, where OpenGL lives, while two others score."""
+    """FLIP of the pairs, (n,) float64. Pictures come from this thread, where OpenGL lives, while two others score."""
     pool = ThreadPoolExecutor(2)
     try:
         return np.array(list(pool.map(flip, ones, others)))
