@@ -132,6 +132,11 @@ class Drawing:
             self._overlay.count(view, grove)
 
     @property
+    def blended(self) -> bool:
+        """Whether other trees must be drawn before the part of this one that is blended over them."""
+        return isinstance(self._overlay, (SlicingCards, ViewCards)) or self._solid < len(self._parts)
+
+    @property
     def calls(self) -> int:
         """Draw calls for any number of trees of a kind; what is looked into near by and flat farther off is two."""
         return len(self._parts) + (self._overlay is not None)
