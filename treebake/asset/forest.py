@@ -18,8 +18,8 @@ from treebake.meshes import read_mesh
 from treebake.model import Cells, Floats, Forest, Mesh
 
 # Values and width of the tables' accessors; of the forest or of its cells, whose bounds take two rows each.
-_TABLES = {"places": ("f4", 4), "turns": ("f4", 1), "species": ("u2", 1)}
-_CELLS = {"bounds": ("f4", 3), "first": ("u4", 1), "count": ("u4", 1)}
+TABLES = {"places": ("f4", 4), "turns": ("f4", 1), "species": ("u2", 1)}
+CELLS = {"bounds": ("f4", 3), "first": ("u4", 1), "count": ("u4", 1)}
 _VIEW_HEIGHT = 1080  # pixels, of the view that MSFT_screencoverage is a part of
 
 
@@ -73,7 +73,7 @@ def _beside(folder: Path, path: Path) -> str:
 def _table(forest: Forest) -> dict[str, Any]:
     return {
         name: getattr(owner, name).reshape(-1, width).astype(kind)
-        for owner, tables in ((forest, _TABLES), (forest.cells, _CELLS))
+        for owner, tables in ((forest, TABLES), (forest.cells, CELLS))
         for name, (kind, width) in tables.items()
     }
 
@@ -105,7 +105,7 @@ def _read(folder: Path, file: GltfFile, extras: Extras) -> tuple[tuple[Forest, t
     if where is None:
         raise ValueError("there is none")
     found: dict[str, Any] = {}
-    for name, (kind, width) in (_TABLES | _CELLS).items():
+    for name, (kind, width) in (TABLES | CELLS).items():
         empty = np.zeros((0, width), kind)
         found[name] = empty if where.table is None else file.accessor(getattr(where.table, name))
         if found[name].dtype != empty.dtype or found[name].shape[1] != width:
