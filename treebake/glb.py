@@ -249,10 +249,8 @@ class _Writer:
         }
         if self.used:
             document["extensionsUsed"] = sorted(self.used)
-        if (
-            _INSTANCING in self.used
-        ):  # without it a viewer would show a single tree; without levels it shows the nearest
-            document["extensionsRequired"] = [_INSTANCING]
+        if _INSTANCING in self.used:
+            document["extensionsRequired"] = [_INSTANCING]  # a viewer without it would show a single instance
         if self.binary:
             document["buffers"] = [{"byteLength": len(self.binary)}]
         if stored:

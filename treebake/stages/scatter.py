@@ -29,12 +29,10 @@ class ForestSettings:
     # of scale 1 just touch
     least_scale: float = 0.8  # scale of the smallest trees (> 0)
     greatest_scale: float = 1.2  # scale of the largest trees (at least least_scale)
-    weights: dict[str, float] = field(
-        default_factory=dict
-    )  # species -> its share among the trees, over that of others (0 or more); 1 for those not named
-    cell: float = (
-        20.0  # side of the culling grid's cells, in spacings (1 or more); a full one has about cell^2 / 1.8 trees
-    )
+    weights: dict[str, float] = field(default_factory=dict)  # species -> its share among the trees, over that of
+    # others (0 or more); 1 for those not named
+    cell: float = 20.0  # side of the culling grid's cells, in spacings (1 or more); a full one has about cell^2 / 1.8
+    # trees
 
 
 def scatter(sizes: Mapping[str, Floats], settings: ForestSettings) -> Forest:
