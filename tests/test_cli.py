@@ -20,7 +20,7 @@ from treebake.images import encode_png
 from treebake.model import Material, Mesh
 from treebake.verify.cameras import CLOSE_UP
 
-COMMANDS = {"grow", "cluster", "textures", "bake", "verify", "inspect"}
+COMMANDS = {"grow", "cluster", "textures", "bake", "verify", "forest", "inspect"}
 COARSE = ["--set", "textures.atlas=128", "--set", "textures.supersample=1"]
 COARSE += [part for table in ("slicings", "views") for part in ("--set", f"{table}.texels=16")]
 COARSE += [part for table in ("slicings", "views") for part in ("--set", f"{table}.supersample=1")]

@@ -12,6 +12,7 @@ import pytest
 import treebake
 from treebake.asset import Manifest
 from treebake.asset.extras import Extras, extras_schema
+from treebake.asset.forest import CELLS, TABLES
 from treebake.gl.indirect import FADE
 from treebake.lookup import LIST_BITS
 from treebake.placements import unpack
@@ -26,6 +27,10 @@ def example(key: str) -> Any:
     return found
 
 
+def section(heading: str) -> str:
+    return (ASSET / "FORMAT.md").read_text().split(f"## {heading}\n")[1].split("\n## ")[0]
+
+
 def test_the_manifest_of_the_example_is_one() -> None:
     assert msgspec.convert(example("generator"), Manifest).indirect is not None
 
@@ -33,6 +38,16 @@ def test_the_manifest_of_the_example_is_one() -> None:
 def test_the_extras_of_the_example_are_some() -> None:
     (found,) = (parsed for parsed in map(json.loads, EXAMPLES) if "hash_width" in parsed.get("indirect", {}))
     assert msgspec.convert(found, Extras).format == 1
+
+
+def test_the_forest_of_the_example_is_one_and_names_every_key() -> None:
+    told = example("forest")
+    found = json.loads(msgspec.json.encode(msgspec.convert(told, Extras)))
+    assert found["forest"] == told["forest"]
+    rows = re.findall(r"^\| `(\w+)` \| (\w+) (float|uint\d+) \|", section("Forests: scene.glb"), re.MULTILINE)
+    kinds = {"float": "f4", "uint16": "u2", "uint32": "u4"}
+    widths = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+    assert {name: (kinds[kind], widths[shape]) for name, shape, kind in rows} == TABLES | CELLS
 
 
 def test_the_worked_placement() -> None:

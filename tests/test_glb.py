@@ -9,8 +9,9 @@ from gltf_validate import assert_valid
 from treebake import __version__
 from treebake.errors import WorkspaceError
 from treebake.formats.gltf_file import GltfFile
-from treebake.glb import encode_glb, write_glb
+from treebake.glb import Instances, Node, encode_glb, write_glb
 from treebake.images import decode_image
+from treebake.meshes import read_mesh
 from treebake.model import AlphaMode, Material, Mesh, Texture
 
 FORMATS = {5123: np.dtype("<u2"), 5125: np.dtype("<u4"), 5126: np.dtype("<f4")}
@@ -242,6 +243,74 @@ def test_tables_leave_the_meshes_as_they_were():
     assert "target" not in document["bufferViews"][-1]  # neither vertices nor indices
 
 
+def placed(n):
+    """n instances: a row along x, each turned by a half about +Y and twice as high."""
+    return Instances(
+        np.float32([[3 * i, 0, 0] for i in range(n)]).reshape(n, 3),
+        np.tile(np.float32([0, 1, 0, 0]), (n, 1)),
+        np.tile(np.float32([1, 2, 1]), (n, 1)),
+    )
+
+
+def test_levels_go_from_near_to_far_and_only_the_nearest_is_in_the_scene():
+    near, middle, far = (quads(LEAF) for _ in range(3))
+    nodes = [Node("oak", near, (middle, far), (0.5, 0.25, 0)), ("stone", quads(Material("stone")))]
+    document, _ = parse(encode_glb(nodes))
+    oak, *coarser, _ = document["nodes"]
+    assert [node["name"] for node in document["nodes"]] == ["oak", "oak_LOD1", "oak_LOD2", "stone"]
+    assert document["scenes"] == [{"nodes": [0, 3]}]
+    assert (oak["extensions"], oak["extras"]) == (
+        {"MSFT_lod": {"ids": [1, 2]}},
+        {"MSFT_screencoverage": [0.5, 0.25, 0]},
+    )
+    assert coarser == [{"name": "oak_LOD1", "mesh": 1}, {"name": "oak_LOD2", "mesh": 2}]
+    assert document["extensionsUsed"] == ["MSFT_lod"]
+    assert "extensionsRequired" not in document
+
+
+def test_an_empty_level_draws_nothing():
+    document, _ = parse(encode_glb([Node("oak", quads(LEAF), (quads(),), (0.5, 0)), Node("no", quads(), (quads(),))]))
+    assert [node.get("mesh") for node in document["nodes"]] == [0, None]
+    assert document["scenes"] == [{"nodes": [0]}]
+
+
+def test_instances_are_the_same_for_all_levels_and_meshes_are_written_once():
+    near, far, many = quads(LEAF), quads(LEAF), placed(3)
+    document, binary = parse(encode_glb([Node(name, near, (far,), (0.5, 0), many) for name in ("a", "b")]))
+    assert len(document["meshes"]) == 2
+    assert [node["mesh"] for node in document["nodes"]] == [0, 1, 0, 1]
+    (attributes,) = {
+        tuple(node["extensions"]["EXT_mesh_gpu_instancing"]["attributes"].items()) for node in document["nodes"]
+    }
+    for name, index in attributes:
+        values = {"TRANSLATION": many.translations, "ROTATION": many.rotations, "SCALE": many.scales}[name]
+        np.testing.assert_array_equal(array(document, binary, index), values)
+    assert document["extensionsUsed"] == ["EXT_mesh_gpu_instancing", "MSFT_lod"]
+    assert document["extensionsRequired"] == ["EXT_mesh_gpu_instancing"]
+
+
+def test_a_node_without_instances_is_left_out():
+    document, _ = parse(encode_glb([Node("none", quads(LEAF), instances=placed(0)), ("one", quads(LEAF))]))
+    assert [node["name"] for node in document["nodes"]] == ["one"]
+    assert "extensionsUsed" not in document
+
+
+def test_instances_are_read_where_they_were_written(tmp_path):
+    write_glb(tmp_path / "row.glb", [Node("row", quads(Material("m")), instances=placed(2))])
+    found = read_mesh(tmp_path / "row.glb")
+    np.testing.assert_allclose(found.bounds, [[-1, 0, 0], [3, 0, 1]], atol=1e-6)
+    assert found.triangles == 4
+
+
+def test_equal_images_are_stored_once():
+    again = replace(LEAF, color_map=Texture("leaf", LEAF.color_map.pixels.copy()))
+    other = replace(LEAF, color_map=Texture("leaf", LEAF.color_map.pixels[::-1].copy()))
+    for material, images in ((again, 2), (other, 3)):
+        document, _ = parse(encode_glb([("a", quads(LEAF)), ("b", quads(material))]))
+        assert len(document["images"]) == len(document["textures"]) == images
+        assert len(document["materials"]) == 2
+
+
 def test_same_input_gives_the_same_bytes():
     assert encode_glb([("a", quads(LEAF))], {"b": 1}) == encode_glb([("a", quads(LEAF))], {"b": 1})
     one, other = (encode_glb([], {"b": table(np.float32, 4), "c": texture("c")}) for _ in range(2))
@@ -257,7 +326,9 @@ def test_validator_finds_nothing(tmp_path):
     extras = {"treebake": {"tables": tables, "image": texture("image", alpha=0)}}
     write_glb(tmp_path / "tables.glb", [("leaf", quads(LEAF))], extras)
     write_glb(tmp_path / "alone.glb", [], extras)
-    assert_valid(*(tmp_path / f"{name}.glb" for name in ("full", "empty", "tables", "alone")))
+    levels = quads(LEAF), (quads(LEAF), quads()), (0.5, 0.25, 0)
+    write_glb(tmp_path / "levels.glb", [Node("one", *levels), Node("many", *levels, placed(3))])
+    assert_valid(*(tmp_path / f"{name}.glb" for name in ("full", "empty", "tables", "alone", "levels")))
 
 
 def test_writing_replaces_whole_or_not_at_all(tmp_path):

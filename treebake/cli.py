@@ -145,8 +145,7 @@ def grow(terminal: Terminal, species: str, output: Path | None, seed: int, leave
     from treebake.summary import of_mesh
 
     path = output or Path(f"{species}.glb")
-    if path.suffix.lower() != ".glb":
-        raise click.UsageError(f"a tree is written as GLB; name it {path.with_suffix('.glb')} instead of {path}")
+    _is_glb(path, "tree")
     with terminal.announce("grow"):
         mesh = grow_tree(species, seed=seed, leaves=leaves)
         write_glb(path, [(species, mesh)])
@@ -280,6 +279,23 @@ def verify(
     sys.exit(1 if misses else 0)
 
 
+@cli.command(short_help="Scatter assets into a forest, as one GLB with instances.")
+@click.argument("assets", type=_FILE, nargs=-1, required=True, metavar="ASSET...")
+@click.option("-o", "output", required=True, type=_FILE, metavar="FILE", help="GLB to write.")
+@_setting("--trees", "forest.trees")
+@_setting("--seed", "forest.seed")
+@_configured
+def forest(terminal: Terminal, settings: "Settings", assets: tuple[Path, ...], output: Path) -> None:
+    """Scatter trees of each ASSET (a published folder) over the ground, and write them as one GLB with instances."""
+    from treebake.pipeline import plant_forest
+    from treebake.summary import of_forest
+
+    _is_glb(output, "forest")
+    with terminal.announce("forest"):
+        planted = plant_forest(assets, output, settings)
+    terminal.show(of_forest(output, *planted))
+
+
 @cli.command(short_help="Say what is in a tree or an asset.")
 @click.argument("file", type=_FILE)
 @_up
@@ -294,6 +310,11 @@ def inspect(terminal: Terminal, settings: "Settings", file: Path) -> None:
     else:
         mesh, tree = inspect_tree(file, settings)
         terminal.show({**of_mesh(mesh), **of_tree(tree)})
+
+
+def _is_glb(path: Path, what: str) -> None:
+    if path.suffix.lower() != ".glb":
+        raise click.UsageError(f"a {what} is written as GLB; name it {path.with_suffix('.glb')} instead of {path}")
 
 
 def main() -> None:

@@ -20,11 +20,40 @@ _UINT16, _UINT32, _FLOAT = 5123, 5125, 5126  # component types
 _TABLES = {"u1": 5121, "u2": _UINT16, "u4": _UINT32, "f4": _FLOAT}
 _SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}  # linear, trilinear, repeat
 _UINT16_VERTICES = 65535  # index 65535 itself is reserved for primitive restart
+_LOD, _INSTANCING = "MSFT_lod", "EXT_mesh_gpu_instancing"
 
 Json = dict[str, Any]
 
 
-def write_glb(path: Path, nodes: Sequence[tuple[str, Mesh]], extras: Json | None = None) -> None:
+@dataclass(frozen=True, eq=False)
+class Instances:
+    """Where a node's mesh is drawn, once for each of n instances (EXT_mesh_gpu_instancing).
+
+    translations: (n, 3) float32. rotations: (n, 4) float32, unit quaternions x, y, z, w. scales: (n, 3) float32.
+    """
+
+    translations: Floats
+    rotations: Floats
+    scales: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A mesh with coarser levels of detail, in one place or in many.
+
+    levels: what stands for `mesh` farther away, from near to far (MSFT_lod); a level may be empty, where nothing is
+    drawn. coverage: MSFT_screencoverage, the least part of the view's height at which each level is meant to be drawn,
+    that of `mesh` first; () without levels. instances: None for one at the origin.
+    """
+
+    name: str
+    mesh: Mesh
+    levels: Sequence[Mesh] = ()
+    coverage: Sequence[float] = ()
+    instances: Instances | None = None
+
+
+def write_glb(path: Path, nodes: Sequence[tuple[str, Mesh] | Node], extras: Json | None = None) -> None:
     """Write `encode_glb` to a file, whole or not at all.
 
     Raises WorkspaceError where the file cannot be written.
@@ -34,17 +63,17 @@ def write_glb(path: Path, nodes: Sequence[tuple[str, Mesh]], extras: Json | None
         file.write(data)
 
 
-def encode_glb(nodes: Sequence[tuple[str, Mesh]], extras: Json | None = None) -> bytes:
-    """Encode (name, mesh) pairs as one GLB: a glTF node and mesh each, one primitive per used material.
+def encode_glb(nodes: Sequence[tuple[str, Mesh] | Node], extras: Json | None = None) -> bytes:
+    """Encode (name, mesh) pairs and nodes as one GLB: a glTF node and mesh each, one primitive per used material.
 
-    A mesh without faces is left out. Materials and textures are written once each, shared by object identity. extras:
-    data for the root's `extras`; in it an array (N, 1 to 4) of uint8, uint16, uint32 or float32 becomes the index of an
-    accessor that holds it, and a Texture the index of a glTF texture. O(vertices + faces) per primitive.
+    A mesh without faces is left out, and so is a node without instances. Meshes, materials, textures and arrays are
+    written once each, shared by object identity, and equal images once. extras: data for the root's `extras`; in it an
+    array (N, 1 to 4) of uint8, uint16, uint32 or float32, N > 0, becomes the index of an accessor that holds it, and a
+    Texture the index of a glTF texture. O(vertices + faces) per primitive.
     """
     writer = _Writer()
-    for name, mesh in nodes:
-        if mesh.triangles:
-            writer.add_node(name, mesh)
+    for node in nodes:
+        writer.add_node(node if isinstance(node, Node) else Node(*node))
     return writer.to_bytes(extras)
 
 
@@ -54,18 +83,54 @@ class _Writer:
 
     binary: bytearray = field(default_factory=bytearray)
     arrays: dict[str, list[Json]] = field(default_factory=dict)
+    roots: list[int] = field(default_factory=list)  # the scene's nodes
+    used: set[str] = field(default_factory=set)  # extensions
+    meshes: dict[int, int] = field(default_factory=dict)  # id(mesh) -> index
     materials: dict[int, int] = field(default_factory=dict)  # id(material) -> index
     textures: dict[tuple[int, bool], int] = field(default_factory=dict)  # (id(texture), with alpha) -> index
+    images: dict[tuple[str, bytes], int] = field(default_factory=dict)  # (name, PNG) -> index of the texture
+    tables: dict[int, int] = field(default_factory=dict)  # id(array) -> index of the accessor
 
     def append(self, array: str, entry: Json) -> int:
         entries = self.arrays.setdefault(array, [])
         entries.append(entry)
         return len(entries) - 1
 
-    def add_node(self, name: str, mesh: Mesh) -> None:
-        used = np.unique(mesh.face_material).tolist()
-        primitives = [self.primitive(mesh, index) for index in used]
-        self.append("nodes", {"name": name, "mesh": self.append("meshes", {"name": name, "primitives": primitives})})
+    def add_node(self, node: Node) -> None:
+        meshes = [node.mesh, *node.levels]
+        if not any(mesh.triangles for mesh in meshes):
+            return
+        if node.instances is not None and not len(node.instances.translations):
+            return
+        names = [f"{node.name}_LOD{level}" if level else node.name for level in range(len(meshes))]
+        first, *others = (self.level(*named, node.instances) for named in zip(names, meshes, strict=True))
+        self.roots.append(first)
+        if others:
+            self.used.add(_LOD)
+            entry = self.arrays["nodes"][first]
+            entry.setdefault("extensions", {})[_LOD] = {"ids": others}
+            entry["extras"] = {"MSFT_screencoverage": list(node.coverage)}
+
+    def level(self, name: str, mesh: Mesh, instances: Instances | None) -> int:
+        entry: Json = {"name": name}
+        if mesh.triangles:
+            entry["mesh"] = self.mesh(name, mesh)
+            if instances is not None:
+                self.used.add(_INSTANCING)
+                attributes = {
+                    "TRANSLATION": instances.translations,
+                    "ROTATION": instances.rotations,
+                    "SCALE": instances.scales,
+                }
+                entry["extensions"] = {_INSTANCING: {"attributes": self.resolved(attributes)}}
+        return self.append("nodes", entry)
+
+    def mesh(self, name: str, mesh: Mesh) -> int:
+        if id(mesh) not in self.meshes:
+            used = np.unique(mesh.face_material).tolist()
+            primitives = [self.primitive(mesh, index) for index in used]
+            self.meshes[id(mesh)] = self.append("meshes", {"name": name, "primitives": primitives})
+        return self.meshes[id(mesh)]
 
     def primitive(self, mesh: Mesh, index: int) -> Json:
         vertices, faces = _compact(mesh.faces[mesh.face_material == index], len(mesh.positions))
@@ -117,15 +182,19 @@ class _Writer:
         return self.texture(value, with_alpha=value.has_alpha) if isinstance(value, Texture) else value
 
     def table_accessor(self, values: np.ndarray) -> int:
+        if id(values) not in self.tables:
+            self.tables[id(values)] = self.append("accessors", self.table_entry(values))
+        return self.tables[id(values)]
+
+    def table_entry(self, values: np.ndarray) -> Json:
         count, width = values.shape
         kind = values.dtype.str[1:]
-        accessor = {
+        return {
             "bufferView": self.view(values.astype(f"<{kind}").tobytes()),
             "componentType": _TABLES[kind],
             "count": count,
             "type": "SCALAR" if width == 1 else f"VEC{width}",
         }
-        return self.append("accessors", accessor)
 
     def view(self, data: bytes, target: int | None = None) -> int:
         view = {"buffer": 0, "byteOffset": len(self.binary), "byteLength": len(data)}
@@ -158,22 +227,30 @@ class _Writer:
     def texture(self, texture: Texture, with_alpha: bool) -> int:
         key = (id(texture), with_alpha)
         if key not in self.textures:
-            if not self.textures:
-                self.append("samplers", _SAMPLER)
-            png = encode_texture(texture, with_alpha=with_alpha)
-            image = self.append("images", {"name": texture.name, "mimeType": "image/png", "bufferView": self.view(png)})
-            self.textures[key] = self.append("textures", {"sampler": 0, "source": image})
+            named = texture.name, encode_texture(texture, with_alpha=with_alpha)
+            if named not in self.images:  # levels that were read from files of their own bring theirs along
+                self.images[named] = self.image(*named)
+            self.textures[key] = self.images[named]
         return self.textures[key]
+
+    def image(self, name: str, png: bytes) -> int:
+        if not self.images:
+            self.append("samplers", _SAMPLER)
+        image = self.append("images", {"name": name, "mimeType": "image/png", "bufferView": self.view(png)})
+        return self.append("textures", {"sampler": 0, "source": image})
 
     def to_bytes(self, extras: Json | None) -> bytes:
         stored = self.resolved(extras)
-        scene = {"nodes": list(range(len(self.arrays["nodes"])))} if "nodes" in self.arrays else {}
         document = {
             "asset": {"version": "2.0", "generator": f"treebake {__version__}"},
             "scene": 0,
-            "scenes": [scene],
+            "scenes": [{"nodes": self.roots} if self.roots else {}],
             **self.arrays,
         }
+        if self.used:
+            document["extensionsUsed"] = sorted(self.used)
+        if _INSTANCING in self.used:
+            document["extensionsRequired"] = [_INSTANCING]  # a viewer without it would show a single instance
         if self.binary:
             document["buffers"] = [{"byteLength": len(self.binary)}]
         if stored:

@@ -392,3 +392,31 @@ class BakedTree:
     source_bounds: Floats  # (2, 3) float32
     slicings: SlicedFoliage | None = None
     views: Impostor | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """The squares of a forest's ground that are drawn or left out as a whole: C of them, none without trees.
+
+    bounds: (C, 2, 3) float32, least and greatest corner, between which every tree of the cell lies whole.
+    first, count: (C,) int32, a cell's trees are rows first to first + count - 1 of the forest's.
+    """
+
+    bounds: Floats
+    first: Ints
+    count: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Forest:
+    """Where n trees of several species stand, ordered by cell and within a cell by species.
+
+    names: of the species. species: (n,) int32 into `names`. places: (n, 4) float32, a tree's origin in the world, and
+    its scale. turns: (n,) float32, radians about +Y, from +Z towards +X: first turned, then scaled, then placed.
+    """
+
+    names: tuple[str, ...]
+    species: Ints
+    places: Floats
+    turns: Floats
+    cells: Cells

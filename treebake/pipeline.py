@@ -3,6 +3,7 @@
     load -> split -> twigs -> cluster, twice                `cluster_tree`: a mesh file into the work folder
             -> views, indirect, slicings, billboards, trunk
             -> write_asset                                  `bake_textures`: the work folder into the published one
+    read_asset -> scatter -> write_forest                   `plant_forest`: published folders into one file
 
 The verifier stands apart: it reads published files only.
 """
@@ -14,7 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from treebake.asset import SHARED, Asset, read_asset, write_asset, write_shared_views
+from treebake.asset import (
+    SHARED,
+    Asset,
+    asset_bounds,
+    read_asset,
+    write_asset,
+    write_forest,
+    write_shared_views,
+)
 from treebake.errors import InputError, SettingsError, WorkspaceError
 from treebake.files import cache_folder
 from treebake.geometry import join
@@ -24,6 +33,7 @@ from treebake.model import (
     BillboardCloud,
     Clusters,
     Floats,
+    Forest,
     Impostor,
     IndirectTextures,
     Mesh,
@@ -34,6 +44,7 @@ from treebake.settings import Settings
 from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
 from treebake.stages.indirect import indirect
+from treebake.stages.scatter import scatter
 from treebake.stages.slicings import slicings
 from treebake.stages.split import split
 from treebake.stages.trunk import TrunkReport, compare, trunk
@@ -208,6 +219,21 @@ def _spare(source: Path, folder: Path, name: str) -> None:
         target = folder / f"{name}{suffix}.glb"
         if target.exists() and source.exists() and target.samefile(source):
             raise WorkspaceError(f"{target} is the source and would be replaced; give another folder with -o")
+
+
+def plant_forest(folders: Sequence[Path], path: Path, settings: Settings) -> tuple[Forest, list[Asset]]:
+    """Scatter published assets and write the forest as one file.
+
+    Raises AssetError, InputError, SettingsError and WorkspaceError.
+    """
+    assets = [read_asset(folder) for folder in folders]
+    names = [asset.manifest.name for asset in assets]
+    if twice := {name for name in names if names.count(name) > 1}:
+        raise SettingsError(f"two assets are named {min(twice)}; give each species once, under a name of its own")
+    sizes = {name: asset_bounds(asset) for name, asset in zip(names, assets, strict=True)}
+    forest = scatter(sizes, settings.forest)
+    write_forest(path, forest, assets)
+    return forest, assets
 
 
 def inspect_tree(path: Path, settings: Settings) -> tuple[Mesh, Tree]:

@@ -23,6 +23,7 @@ from treebake.meshes import LoadSettings
 from treebake.stages.billboards import BillboardSettings
 from treebake.stages.cluster import ClusterSettings
 from treebake.stages.indirect import IndirectSettings
+from treebake.stages.scatter import ForestSettings
 from treebake.stages.slicings import SlicingSettings
 from treebake.stages.split import SplitSettings
 from treebake.stages.trunk import TrunkSettings
@@ -63,6 +64,7 @@ class Settings:
     slicing_trunk: TrunkSettings = field(default_factory=_thick_branches)
     slicings: SlicingSettings = field(default_factory=SlicingSettings)
     views: ViewSettings = field(default_factory=ViewSettings)
+    forest: ForestSettings = field(default_factory=ForestSettings)
     verify: VerifySettings = field(default_factory=VerifySettings)
 
 

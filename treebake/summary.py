@@ -1,13 +1,14 @@
 """What the commands report: plain numbers and texts by name, ready for the terminal or for JSON."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from treebake.asset import read_asset
-from treebake.model import Mesh, Tree
+from treebake.asset import Asset, read_asset
+from treebake.model import Forest, Mesh, Tree
 from treebake.stages.cluster import cluster_statistics
 
 if TYPE_CHECKING:
@@ -86,4 +87,24 @@ def of_asset(folder: Path) -> Facts:
         **({"slicings": asdict(manifest.slicings)} if manifest.slicings else {}),
         **({"views": {**asdict(manifest.views), "pictures": len(manifest.views.pictures)}} if manifest.views else {}),
         "textures": [{**asdict(image), "size": "x".join(map(str, image.size))} for image in manifest.textures],
+    }
+
+
+def of_forest(path: Path, forest: Forest, assets: Sequence[Asset]) -> Facts:
+    """What a forest file holds. triangles: of all instances at their nearest level."""
+    counts = np.bincount(forest.species, minlength=len(assets)).tolist()
+    nearest = [asset.manifest.levels[0] for asset in assets]
+    return {
+        "file": str(path),
+        "instances": len(forest.places),
+        "species": [
+            {"name": name, "trees": trees, "levels": len(asset.manifest.levels)}
+            for name, trees, asset in zip(forest.names, counts, assets, strict=True)
+        ],
+        "cells": len(forest.cells.first),
+        "triangles": sum(
+            trees * (level.foliage_triangles + level.trunk_triangles)
+            for trees, level in zip(counts, nearest, strict=True)
+        ),
+        "bytes": path.stat().st_size,
     }

@@ -1,5 +1,6 @@
 """The published asset: the one place that knows its files. FORMAT.md describes them."""
 
+from treebake.asset.forest import asset_bounds, read_forest, write_forest
 from treebake.asset.indirect import indirect_bytes, leaf_card_bytes, read_indirect
 from treebake.asset.manifest import Asset, LeftOut, Level, Manifest, Rung
 from treebake.asset.pictures import atlas_bytes, read_slicings, read_views
@@ -13,13 +14,16 @@ __all__ = [
     "Level",
     "Manifest",
     "Rung",
+    "asset_bounds",
     "atlas_bytes",
     "indirect_bytes",
     "leaf_card_bytes",
     "read_asset",
+    "read_forest",
     "read_indirect",
     "read_slicings",
     "read_views",
     "write_asset",
+    "write_forest",
     "write_shared_views",
 ]

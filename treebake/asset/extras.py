@@ -95,6 +95,34 @@ class ViewsExtras:
 
 
 @dataclass(frozen=True)
+class ForestTable:
+    """Accessors: a row per tree, and a row (of bounds two) per cell of the culling grid."""
+
+    places: Index
+    turns: Index
+    species: Index
+    bounds: Index
+    first: Index
+    count: Index
+
+
+@dataclass(frozen=True)
+class ForestAsset:
+    """A species: the asset's name, and its folder relative to the file."""
+
+    name: str
+    path: str
+
+
+@dataclass(frozen=True)
+class ForestExtras:
+    """Instances of other assets; table is null where there are no trees."""
+
+    assets: Annotated[tuple[ForestAsset, ...], msgspec.Meta(min_length=1)]
+    table: ForestTable | None
+
+
+@dataclass(frozen=True)
 class Extras:
     """The value of the root's `extras.treebake`: what else the file holds."""
 
@@ -102,6 +130,7 @@ class Extras:
     indirect: IndirectExtras | None = None
     slicings: SlicingsExtras | None = None
     views: ViewsExtras | None = None
+    forest: ForestExtras | None = None
 
 
 _UNREADABLE = (

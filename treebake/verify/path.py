@@ -41,7 +41,9 @@ def path(forest: Forest, heights: Doubles, reach: float, frames: int, field_of_v
     return first + [Eye(first[-1].place + part**2 * (last - first[-1].place), _UP * part) for part in flight]
 
 
-def view_of(eye: Eye, window: tuple[int, int], field_of_view: float, far: float, near: float, shift: float = 0.0) -> View:
+def view_of(
+    eye: Eye, window: tuple[int, int], field_of_view: float, far: float, near: float, shift: float = 0.0
+) -> View:
     """What is seen from there, (width, height) pixels large, moved to the right by `shift` pixels."""
     angle = math.radians(eye.elevation)
     turn = np.array([[1, 0, 0], [0, math.cos(angle), -math.sin(angle)], [0, math.sin(angle), math.cos(angle)]])
