@@ -137,6 +137,11 @@ class Drawing:
         return isinstance(self._overlay, (SlicingCards, ViewCards)) or self._solid < len(self._parts)
 
     @property
+    def triangles(self) -> int:
+        """Of one tree."""
+        return self._mesh.triangles + (0 if self._overlay is None else self._overlay.triangles)
+
+    @property
     def calls(self) -> int:
         """Draw calls for any number of trees of a kind; what is looked into near by and flat farther off is two."""
         return len(self._parts) + (self._overlay is not None)

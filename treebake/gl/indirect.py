@@ -69,6 +69,11 @@ class IndirectBillboards:
         gl.disable_direct(_DEPTH_CLAMP)
         gl.cull_face = "back"
 
+    @property
+    def triangles(self) -> int:
+        """Of one tree."""
+        return _CORNERS // 3 * self._billboards
+
     def release(self) -> None:
         """Free everything on the graphics card."""
         for texture in self._textures.values():

@@ -19,7 +19,7 @@ class LeafQuads:
 
     def __init__(self, gl: moderngl.Context, leaves: LeafCards) -> None:
         self._gl, self._program, self._counter = gl, program("leaf_quads"), program("leaf_quads_count")
-        count = len(leaves.cards)
+        count = self._count = len(leaves.cards)
         rows = np.zeros((-(-count // _ROW) * _ROW, 3, 4), np.float32)
         rows[:count] = leaves.cards
         self._textures = {
@@ -41,6 +41,11 @@ class LeafQuads:
     def count(self, view: View, grove: Grove = ONE_TREE) -> None:
         """Add the fragments that the cards ask for to the framebuffer in use."""
         self._draw(self._counter, view, grove)
+
+    @property
+    def triangles(self) -> int:
+        """Of one tree."""
+        return 2 * self._count
 
     def release(self) -> None:
         """Free everything on the graphics card."""

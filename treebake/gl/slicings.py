@@ -46,6 +46,11 @@ class SlicingCards:
         """Add the fragments that every slice asks for to the framebuffer in use."""
         self._draw(self._counter, view, grove)
 
+    @property
+    def triangles(self) -> int:
+        """Of one tree."""
+        return self._slicings.triangles
+
     def release(self) -> None:
         """Free everything on the graphics card."""
         for texture in self._textures.values():

@@ -51,6 +51,11 @@ class ViewCards:
         """Add the fragments that the card asks for to the framebuffer in use."""
         self._draw(self._counter, view, grove)
 
+    @property
+    def triangles(self) -> int:
+        """Of one tree."""
+        return self._views.triangles
+
     def release(self) -> None:
         """Free everything on the graphics card."""
         for texture in self._textures.values():

@@ -66,14 +66,15 @@ class CloseUp:
         return looking(turn, eye, scale, (distance / 8, distance + self.depth), height, shift)
 
 
-def cameras(mesh: Mesh, elevations: Sequence[float], azimuths: int) -> tuple[Camera, ...]:
-    """Look at a mesh from every elevation (degrees) at `azimuths` evenly spaced azimuths.
-
-    The sphere is centred in the mesh's bounding box and touches its farthest used vertex.
-    """
+def bounding_sphere(mesh: Mesh) -> tuple[Doubles, float]:
+    """Center (3,) float64 and radius: centred in the mesh's bounding box, it touches the farthest used vertex."""
     center = mesh.bounds.astype(np.float64).mean(axis=0)
-    used = mesh.positions[np.unique(mesh.faces)]
-    radius = float(np.linalg.norm(used - center, axis=1).max(initial=0.0)) or 1.0
+    return center, float(np.linalg.norm(mesh.positions[mesh.used] - center, axis=1).max(initial=0.0)) or 1.0
+
+
+def cameras(mesh: Mesh, elevations: Sequence[float], azimuths: int) -> tuple[Camera, ...]:
+    """Look at a mesh from every elevation (degrees) at `azimuths` evenly spaced azimuths."""
+    center, radius = bounding_sphere(mesh)
     return tuple(
         Camera(elevation, 360.0 * step / azimuths, center, radius)
         for elevation in elevations

@@ -26,6 +26,7 @@ from treebake.verify.reference import Reference, reference
 from treebake.verify.representations import without
 
 _HOPELESS = 1.5  # FLIP over floor(1 px) from which on the next height is not tried: a step there takes off less
+_ENTRIES = {"leaves": "indirect", "indirect": "indirect", "slicings": "slicings", "views": "views"}  # of the manifest
 _AS_GOOD = 1.05  # times the finest level's FLIP that a coarser standard level may have, where none is invisible
 
 
@@ -49,11 +50,6 @@ class Candidate:
     mesh: Mesh
     layers: Layers | None
 
-    @property
-    def name(self) -> str:
-        """For people."""
-        return self.representation if self.level is None else f"{self.representation} LOD{self.level}"
-
 
 @dataclass(frozen=True)
 class Ladder:
@@ -64,25 +60,31 @@ class Ladder:
     level_heights: tuple[int, ...]
 
 
-def candidates(asset: Asset) -> tuple[Candidate, ...]:
-    """Everything that an asset can be drawn as. Raises AssetError where a file is damaged."""
+def drawn_as(asset: Asset, representation: str, level: int | None = None) -> Candidate:
+    """One representation of an asset that has it, a cloud at one of its levels. Raises AssetError and InputError."""
     manifest, folder = asset.manifest, asset.folder
-    found = []
-    if manifest.indirect:
-        path = folder / manifest.indirect.file
-        textures, rest = read_indirect(path), without(read_mesh(path), "cloud")
-        found += [Candidate("leaves", path.name, None, rest, leaf_cards(textures))]
-        found += [Candidate("indirect", path.name, None, rest, textures)]
-    found += [
-        Candidate("cloud", path.name, level, read_mesh(path), None) for level, path in enumerate(asset.level_paths)
-    ]
-    if manifest.slicings:
-        path = folder / manifest.slicings.file
-        found.append(Candidate("slicings", path.name, None, without(read_mesh(path), "slices"), read_slicings(path)))
-    if manifest.views:
-        views = read_views(folder / manifest.views.file, manifest.name)
-        found.append(Candidate("views", manifest.views.file, None, EMPTY_MESH, views))
-    return tuple(found)
+    entry = getattr(manifest, _ENTRIES[representation]) if level is None else manifest.levels[level]
+    path, rest = folder / entry.file, EMPTY_MESH
+    layers: Layers | None = None
+    match representation:
+        case "cloud":
+            rest = read_mesh(path)
+        case "leaves":
+            rest, layers = without(read_mesh(path), "cloud"), leaf_cards(read_indirect(path))
+        case "indirect":
+            rest, layers = without(read_mesh(path), "cloud"), read_indirect(path)
+        case "slicings":
+            rest, layers = without(read_mesh(path), "slices"), read_slicings(path)
+        case "views":
+            layers = read_views(path, manifest.name)
+    return Candidate(representation, entry.file, level, rest, layers)
+
+
+def candidates(asset: Asset) -> tuple[Candidate, ...]:
+    """Everything that an asset can be drawn as. Raises AssetError and InputError where a file is damaged."""
+    there = [name for name, entry in _ENTRIES.items() if getattr(asset.manifest, entry)]
+    clouds = [drawn_as(asset, "cloud", level) for level in range(len(asset.manifest.levels))]
+    return (*(drawn_as(asset, name) for name in there), *clouds)
 
 
 def ladder(

@@ -1,4 +1,4 @@
-"""The way that a forest is looked at: a walk through it at eye level, then a flight up and back until all is in view."""
+"""The way that a forest is looked at: a walk into it at eye level, then a flight up and back until all is in view."""
 
 import math
 from dataclasses import dataclass
@@ -10,13 +10,12 @@ from treebake.model import Doubles, Forest
 
 _EYE = 0.17  # height of the eye over the ground, in median tree heights: a person before a tree of ten metres
 _LANES = 41  # parallel ways that are compared for the one that stays clear of trunks
-_NEAR = 0.02  # nearest depth that is seen, in median tree heights
 _UP = 40.0  # degrees that the flight ends looking down
 
 
 @dataclass(frozen=True, eq=False)
 class Eye:
-    """place: (3,) float64, where the viewer is. elevation: degrees that the view is turned downwards; it looks along -Z."""
+    """place: (3,) float64, where the viewer is. elevation: degrees that it looks down, otherwise along -Z."""
 
     place: Doubles
     elevation: float
@@ -42,14 +41,14 @@ def path(forest: Forest, heights: Doubles, reach: float, frames: int, field_of_v
 
 
 def view_of(
-    eye: Eye, window: tuple[int, int], field_of_view: float, far: float, near: float, shift: float = 0.0
+    eye: Eye, window: tuple[int, int], field_of_view: float, depths: tuple[float, float], shift: float = 0.0
 ) -> View:
-    """What is seen from there, (width, height) pixels large, moved to the right by `shift` pixels."""
+    """What is seen from there between two depths, (width, height) pixels large, moved right by `shift` pixels."""
     angle = math.radians(eye.elevation)
     turn = np.array([[1, 0, 0], [0, math.cos(angle), -math.sin(angle)], [0, math.sin(angle), math.cos(angle)]])
     width, height = window
     scale = 1 / math.tan(math.radians(field_of_view / 2))
-    return looking(turn, eye.place, scale, (near, far), height, shift, width / height)
+    return looking(turn, eye.place, scale, depths, height, shift, width / height)
 
 
 def _clear_lane(ground: Doubles, radius: float, reach: float) -> float:

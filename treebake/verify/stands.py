@@ -61,7 +61,7 @@ def seen(view: View, forest: Forest, trees: Trees) -> NDArray[np.intp]:
     cells = (np.einsum("pci,pi->pc", corner, planes[:, :3]) + planes[:, 3:] >= 0).all(axis=0)
     near = np.flatnonzero(np.repeat(cells, forest.cells.count))
     away = trees.centers[near] @ planes[:, :3].T + planes[:, 3]
-    return near[(away >= -trees.radii[near, None]).all(axis=1)]
+    return np.asarray(near[(away >= -trees.radii[near, None]).all(axis=1)], np.intp)
 
 
 def pixels_high(view: View, trees: Trees, chosen: NDArray[np.intp]) -> Doubles:
