@@ -9,6 +9,18 @@ from treebake.model import Material, Mesh, Texture
 FRONT = View(np.diag([1.0, 1.0, -1.0, 1.0]), 8, 0.0, 2.0)
 BACK = View(np.diag([-1.0, 1.0, 1.0, 1.0]), 8, 0.0, 2.0)
 
+SUN_DIRECTION = np.array([0.5, 0.8, 0.35]) / np.linalg.norm([0.5, 0.8, 0.35])
+SUN, SKY, GROUND = np.array([[1.25, 1.15, 1.0], [0.45, 0.52, 0.62], [0.22, 0.20, 0.16]])
+SOFTNESS = 0.5  # of pictures
+
+
+def lit(albedo: object, normal: object, softness: float = 0.0) -> np.ndarray:
+    """The readable twin of lighting.glsl: linear colour of a surface."""
+    n = np.asarray(normal, np.float64) / np.linalg.norm(np.asarray(normal))
+    sun = n @ SUN_DIRECTION
+    light = SUN * (sun + np.hypot(sun, softness)) / 2 + GROUND + (SKY - GROUND) * (0.5 + 0.5 * n[1])
+    return np.minimum(np.asarray(albedo) * light, 1.0)
+
 
 def quad(
     material: Material,

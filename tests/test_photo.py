@@ -48,21 +48,12 @@ def take(mesh: Mesh, *args: Doubles, supersample: int = 4, **more: object) -> Ph
     return photo
 
 
-def lit(albedo: object, normal: object) -> np.ndarray:
-    """The readable twin of lighting.glsl."""
-    n = np.asarray(normal, np.float64) / np.linalg.norm(np.asarray(normal))
-    sun = np.array([0.5, 0.8, 0.35]) / np.linalg.norm([0.5, 0.8, 0.35])
-    sky, ground = np.array([0.45, 0.52, 0.62]), np.array([0.22, 0.20, 0.16])
-    light = np.array([1.25, 1.15, 1.0]) * max(n @ sun, 0.0) + ground + (sky - ground) * (0.5 + 0.5 * n[1])
-    return np.minimum(np.asarray(albedo) * light, 1.0)
-
-
 def slope(right: float, up: float) -> list[float]:
     return [right / STEEPEST / 2 + 0.5, up / STEEPEST / 2 + 0.5]
 
 
 def test_a_quad_is_where_it_is_and_upright() -> None:
-    alpha = take(quad(GREY, x=(-1.0, 0.0), y=(0.5, 1.0))).lit[..., 3]
+    alpha = take(quad(GREY, x=(-1.0, 0.0), y=(0.5, 1.0))).albedo[..., 3]
     expected = np.zeros((8, 8))
     expected[:2, :4] = 1  # the left half of the upper quarter
     np.testing.assert_array_equal(alpha, expected)
@@ -72,8 +63,8 @@ def test_a_picture_may_be_wider_than_high() -> None:
     photo = take(quad(GREY, x=(1.0, 2.0), y=(-1.0, 0.0)), reach=(2.0, 1.0, 1.0), size=(8, 4))
     expected = np.zeros((4, 8))
     expected[2:, 6:] = 1
-    np.testing.assert_array_equal(photo.lit[..., 3], expected)
-    assert photo.albedo.shape == photo.relief.shape == (4, 8, 3)
+    np.testing.assert_array_equal(photo.albedo[..., 3], expected)
+    assert (photo.albedo.shape, photo.relief.shape) == ((4, 8, 4), (4, 8, 3))
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 90.0, 180.0, 270.0, 37.0])
@@ -81,7 +72,7 @@ def test_seen_from_any_side_right_is_right(azimuth: float) -> None:
     turn = turn_to(0.0, azimuth)
     mesh = quad(GREY, x=(0.0, 1.0), y=(-1.0, 0.0))
     facing = replace(mesh, positions=np.asarray(mesh.positions @ turn, np.float32))
-    alpha = take(facing, turn).lit[..., 3]
+    alpha = take(facing, turn).albedo[..., 3]
     assert alpha[4:, 4:].min() == 1
     assert alpha.sum() == 16
 
@@ -89,44 +80,30 @@ def test_seen_from_any_side_right_is_right(azimuth: float) -> None:
 @pytest.mark.parametrize("supersample", [2, 4])
 def test_a_half_covered_texel_is_covered_by_half(supersample: int) -> None:
     photo = take(quad(GREY, x=(-1.0, 0.125)), supersample=supersample)  # its edge halves the fifth column
-    assert photo.lit[0, :, 3].tolist() == [1, 1, 1, 1, 0.5, 0, 0, 0]
+    assert photo.albedo[0, :, 3].tolist() == [1, 1, 1, 1, 0.5, 0, 0, 0]
 
 
 def test_one_sample_a_texel_is_all_or_nothing() -> None:
-    assert take(quad(GREY, x=(-1.0, 0.15)), supersample=1).lit[0, :, 3].tolist() == [1, 1, 1, 1, 1, 0, 0, 0]
+    assert take(quad(GREY, x=(-1.0, 0.15)), supersample=1).albedo[0, :, 3].tolist() == [1, 1, 1, 1, 1, 0, 0, 0]
 
 
 def test_everything_is_premultiplied_by_coverage() -> None:
     photo = take(quad(GREY, x=(-1.0, 0.125), z=0.5))
-    for image in (photo.lit, photo.albedo, photo.relief):
+    for image in (photo.albedo, photo.relief):
         assert np.allclose(image[:, 4], image[:, 3] / 2, atol=HALF)
         assert image[:, 3].all()
         assert not image[:, 5:].any()
 
 
-@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 1, 0.1), (0, -1, 0.1), (0.6, 0, 0.8), (-0.6, 0.8, 0.1)])
-def test_light_matches_its_numpy_twin_and_albedo_has_none(normal: tuple[float, float, float]) -> None:
-    photo = take(quad(GREY, normal=normal))
-    assert np.allclose(photo.lit[..., :3], lit(0.2, normal), atol=HALF)
-    assert np.allclose(photo.albedo, 0.2, atol=HALF)
-
-
-def test_light_stands_still_in_the_world() -> None:
-    turn = turn_to(30.0, 120.0)
-    mesh = quad(GREY)
-    facing = replace(mesh, positions=np.asarray(mesh.positions @ turn, np.float32), normals=np.tile(turn[2], (4, 1)))
-    assert np.allclose(take(facing, turn).lit[..., :3], lit(0.2, turn[2]), atol=HALF)
-
-
-def test_bright_light_is_clipped_before_it_is_averaged() -> None:
-    photo = take(quad(Material("white"), x=(-1.0, 0.125), normal=(0, 1, 0.1)))
-    assert photo.lit[0, 4, :3].tolist() == [0.5, 0.5, 0.5]
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 1, 0.1), (0, -1, 0.1)])
+def test_albedo_has_no_light(normal: tuple[float, float, float]) -> None:
+    assert np.allclose(take(quad(GREY, normal=normal)).albedo[..., :3], 0.2, atol=HALF)
 
 
 def test_a_texture_is_upright() -> None:
     pixels = np.random.default_rng(1).integers(0, 256, (8, 8, 3), np.uint8)
     photo = take(quad(Material("map", color_map=texture(pixels), base_color=(1.0, 0.5, 1.0, 1.0))), supersample=1)
-    assert np.allclose(photo.albedo, to_linear(pixels) * [1, 0.5, 1], atol=2 * HALF)
+    assert np.allclose(photo.albedo[..., :3], to_linear(pixels) * [1, 0.5, 1], atol=2 * HALF)
 
 
 @pytest.mark.parametrize(("z", "depth"), [(-0.99, 0.005), (-0.5, 0.25), (0.0, 0.5), (0.99, 0.995)])
@@ -141,8 +118,8 @@ def test_depth_is_along_the_way_to_the_viewer() -> None:
 
 
 def test_a_picture_sees_all_of_its_depth_and_no_more() -> None:
-    assert not take(quad(GREY, z=1.1)).lit.any()
-    assert not take(quad(GREY, z=-1.1)).lit.any()
+    assert not take(quad(GREY, z=1.1)).albedo.any()
+    assert not take(quad(GREY, z=-1.1)).albedo.any()
 
 
 @pytest.mark.parametrize("azimuth", [-60.0, 30.0, 60.0])
@@ -168,25 +145,23 @@ def test_slopes_end_at_the_steepest(normal: tuple[float, float, float]) -> None:
 def test_normals_that_cancel_each_other_face_the_viewer() -> None:
     photo = take(quad(GREY, normal=(0, 0, 0)))
     assert np.allclose(photo.relief[..., :2], 0.5, atol=HALF)
-    assert np.allclose(photo.lit[..., :3], lit(0.2, (0, 0, 1)), atol=HALF)
 
 
 def test_the_back_of_a_single_sided_face_is_not_seen() -> None:
-    assert not take(quad(GREY), turn_to(0.0, 180.0)).lit.any()
+    assert not take(quad(GREY), turn_to(0.0, 180.0)).albedo.any()
 
 
-def test_the_back_of_a_double_sided_face_is_lit_from_behind() -> None:
+def test_the_back_of_a_double_sided_face_slopes_the_other_way() -> None:
     both = quad(replace(GREY, double_sided=True), normal=(0.6, 0, 0.8))
     back = take(both, turn_to(0.0, 180.0))
-    assert np.allclose(back.lit[..., :3], lit(0.2, (-0.6, 0, -0.8)), atol=HALF)
     assert np.allclose(back.relief[..., :2], slope(0.75, 0), atol=HALF)  # right is -X from there
-    assert np.allclose(take(both).lit[..., :3], lit(0.2, (0.6, 0, 0.8)), atol=HALF)
+    assert np.allclose(take(both).relief[..., :2], slope(0.75, 0), atol=HALF)
 
 
 @pytest.mark.parametrize(("alpha", "cutoff", "seen"), [(127, 0.5, 0), (128, 0.5, 1), (80, 0.3, 1), (0, 0.1, 0)])
 def test_a_mask_is_cut_at_its_cutoff(alpha: int, cutoff: float, seen: float) -> None:
     mask = Material("mask", color_map=texture([[(90, 90, 90)]], alpha), alpha_mode=AlphaMode.MASK, alpha_cutoff=cutoff)
-    assert (take(quad(mask)).lit[..., 3] == seen).all()
+    assert (take(quad(mask)).albedo[..., 3] == seen).all()
 
 
 def test_small_cut_outs_are_neither_thinned_nor_coloured_by_mips() -> None:
@@ -195,8 +170,8 @@ def test_small_cut_outs_are_neither_thinned_nor_coloured_by_mips() -> None:
     mask = Material("mask", color_map=texture(pixels), alpha_mode=AlphaMode.MASK)
     mesh = quad(mask, uvs=53.7 * np.array([(0, 1), (1, 1), (1, 0), (0, 0)]))
     photo = take(mesh, size=(61, 61))
-    assert photo.lit[..., 3].mean() == pytest.approx(0.25, abs=0.02)
-    mean = photo.albedo.sum(axis=(0, 1)) / photo.lit[..., 3].sum()
+    assert photo.albedo[..., 3].mean() == pytest.approx(0.25, abs=0.02)
+    mean = photo.albedo[..., :3].sum(axis=(0, 1)) / photo.albedo[..., 3].sum()
     assert np.allclose(mean, to_linear(np.array([0, 120, 0], np.uint8)), atol=0.03)
 
 
@@ -204,12 +179,12 @@ def test_small_cut_outs_are_neither_thinned_nor_coloured_by_mips() -> None:
 def test_a_blended_face_covers_its_share(alpha: float) -> None:
     glass = Material("glass", base_color=(0.2, 0.4, 0.2, alpha), alpha_mode=AlphaMode.BLEND)
     photo = take(quad(glass))
-    assert (photo.lit[..., 3] == alpha).all()
-    assert np.allclose(photo.albedo, alpha * np.array([0.2, 0.4, 0.2]), atol=HALF)
+    assert (photo.albedo[..., 3] == alpha).all()
+    assert np.allclose(photo.albedo[..., :3], alpha * np.array([0.2, 0.4, 0.2]), atol=HALF)
 
 
 def test_an_opaque_face_ignores_alpha() -> None:
-    assert (take(quad(Material("opaque", base_color=(1, 1, 1, 0.0)))).lit[..., 3] == 1).all()
+    assert (take(quad(Material("opaque", base_color=(1, 1, 1, 0.0)))).albedo[..., 3] == 1).all()
 
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
@@ -236,17 +211,17 @@ def slanted() -> Mesh:
 
 
 def test_cut_faces_are_seen_in_the_slab_only_and_others_whole() -> None:
-    seen = take(slanted(), cut=True, slab=(-0.25, 0.5)).lit[..., 3]
+    seen = take(slanted(), cut=True, slab=(-0.25, 0.5)).albedo[..., 3]
     np.testing.assert_array_equal(seen, np.tile([0, 0, 0, 1, 1, 1, 0, 0], (8, 1)))
-    assert take(slanted(), slab=(-0.25, 0.5)).lit[..., 3].min() == 1
+    assert take(slanted(), slab=(-0.25, 0.5)).albedo[..., 3].min() == 1
 
 
 @pytest.mark.parametrize("turn", [FRONT, turn_to(0.0, 10.0), turn_to(20.0, 200.0)], ids=["front", "aside", "behind"])
 def test_slabs_side_by_side_share_a_face_without_a_gap(turn: Doubles) -> None:
     both = replace(slanted(), materials=(replace(GREY, double_sided=True),))
     edges = [-np.inf, -0.3, 0.1, np.inf]
-    parts = [take(both, turn, reach=(2, 2, 2), cut=True, slab=slab).lit[..., 3] for slab in pairwise(edges)]
-    np.testing.assert_array_equal(sum(parts), take(both, turn, reach=(2, 2, 2)).lit[..., 3])
+    parts = [take(both, turn, reach=(2, 2, 2), cut=True, slab=slab).albedo[..., 3] for slab in pairwise(edges)]
+    np.testing.assert_array_equal(sum(parts), take(both, turn, reach=(2, 2, 2)).albedo[..., 3])
     assert all(part.any() for part in parts)
 
 
@@ -260,7 +235,7 @@ def test_only_the_faces_asked_for_are_seen() -> None:
 def test_no_faces_are_an_empty_picture() -> None:
     mesh = quad(GREY)
     photo = next(photograph(mesh, [replace(shot(mesh), faces=np.zeros(0, np.int32))], 4))
-    for image in (photo.lit, photo.albedo, photo.relief):
+    for image in (photo.albedo, photo.relief):
         assert image.shape[:2] == (8, 8)
         assert not image.any()
 
@@ -278,18 +253,18 @@ BUMP = (200, 170, 220)
     ],
     ids=["upright", "mirrored", "upside down", "turned"],
 )
-def test_a_normal_map_turns_the_slope_and_the_light(uvs: object, turned: object) -> None:
+def test_a_normal_map_turns_the_slope(uvs: object, turned: object) -> None:
     x, y, z = np.array(BUMP) / 255 * 2 - 1
     right, up = np.array(turned) @ [x, y]
     photo = take(quad(replace(GREY, normal_map=texture([[BUMP]])), uvs=uvs))
     assert np.allclose(photo.relief[..., :2], slope(right / z, up / z), atol=2 * HALF)
-    assert np.allclose(photo.lit[..., :3], lit(0.2, (right, up, z)), atol=HALF)
 
 
 def test_seen_from_behind_a_bump_is_a_dent() -> None:
     both = quad(replace(GREY, normal_map=texture([[BUMP]]), double_sided=True))
-    normal = np.array(BUMP) / 255 * 2 - 1
-    assert np.allclose(take(both, turn_to(0.0, 180.0)).lit[..., :3], lit(0.2, -normal), atol=HALF)
+    x, y, z = np.array(BUMP) / 255 * 2 - 1
+    photo = take(both, turn_to(0.0, 180.0))
+    assert np.allclose(photo.relief[..., :2], slope(x / z, -y / z), atol=2 * HALF)  # reversed; right is -X from there
 
 
 def test_pictures_do_not_depend_on_those_taken_before() -> None:
@@ -298,7 +273,7 @@ def test_pictures_do_not_depend_on_those_taken_before() -> None:
     together = list(photograph(mesh, shots, 2))
     for each, photo in zip(shots, together, strict=True):
         (alone,) = photograph(mesh, [each], 2)
-        for name in ("lit", "albedo", "relief"):
+        for name in ("albedo", "relief"):
             np.testing.assert_array_equal(getattr(photo, name), getattr(alone, name))
 
 

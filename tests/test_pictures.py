@@ -23,15 +23,15 @@ def pictures(*sizes: tuple[int, int]) -> Ints:
     return np.array(sizes, np.int32).reshape(-1, 2)
 
 
-def photo(alpha: object, lit: object = 0.0, albedo: object = 0.0, relief: object = 0.0) -> Photo:
+def photo(alpha: object, albedo: object = 0.0, relief: object = 0.0) -> Photo:
     """A picture of that coverage (h, w); the rest, one value or one a texel, is premultiplied here."""
     share = np.asarray(alpha, np.float32)[..., None]
-    images = [np.broadcast_to(np.asarray(v, np.float32), (*share.shape[:2], 3)) * share for v in (lit, albedo, relief)]
-    return Photo(np.concatenate([images[0], share], axis=2), images[1], images[2])
+    images = [np.broadcast_to(np.asarray(v, np.float32), (*share.shape[:2], 3)) * share for v in (albedo, relief)]
+    return Photo(np.concatenate([images[0], share], axis=2), images[1])
 
 
 def whole(picture: Photo, x: int, y: int) -> Part:
-    height, width = picture.lit.shape[:2]
+    height, width = picture.albedo.shape[:2]
     return Part(picture, (slice(0, height), slice(0, width)), (x, y))
 
 
@@ -129,11 +129,11 @@ def test_the_atlas_that_is_proposed_is_large_enough_and_half_of_it_is_not(
 
 def test_a_single_sample_of_16_is_nothing() -> None:
     alpha = [[0, 1 / 16, 2 / 16, 1]]
-    assert covered(photo(alpha, lit=0.5)).tolist() == [[False, False, True, True]]
+    assert covered(photo(alpha, albedo=0.5)).tolist() == [[False, False, True, True]]
 
 
 def test_a_black_leaf_is_something() -> None:
-    assert covered(photo([[1.0]], lit=0.0)).all()
+    assert covered(photo([[1.0]], albedo=0.0)).all()
 
 
 def test_cut_to_left_top_right_bottom() -> None:
@@ -171,9 +171,9 @@ def test_a_part_is_put_in_with_what_is_around_it_in_the_gutter() -> None:
 
 def test_the_images_are_named_and_the_others_half_as_large() -> None:
     atlas = compose([], (24, 16), 1, "views")
-    images = (atlas.coverage, atlas.lit, atlas.albedo, atlas.relief)
-    assert [image.name for image in images] == ["views_coverage", "views_lit", "views_albedo", "views_relief"]
-    assert [image.pixels.shape for image in images] == [(16, 24, 4)] + [(8, 12, 4)] * 3
+    images = (atlas.coverage, atlas.albedo, atlas.relief)
+    assert [image.name for image in images] == ["views_coverage", "views_albedo", "views_relief"]
+    assert [image.pixels.shape for image in images] == [(16, 24, 4)] + [(8, 12, 4)] * 2
     assert not any(image.has_alpha for image in images)
 
 
@@ -182,25 +182,23 @@ def test_of_four_texels_the_most_covered_is_kept_unmixed(best: int) -> None:
     colors = np.eye(4, 3).reshape(2, 2, 3) * 0.7 + 0.1
     alpha = np.full(4, 0.4)
     alpha[best] = 0.6
-    picture = photo(alpha.reshape(2, 2), lit=colors, albedo=colors[::-1], relief=colors[:, ::-1])
+    picture = photo(alpha.reshape(2, 2), albedo=colors, relief=colors[:, ::-1])
     atlas = compose([whole(picture, 4, 4)], (12, 12), 4, "views")
-    wanted = [image.reshape(4, 3)[best] for image in (colors, colors[::-1], colors[:, ::-1])]
-    assert to_linear(atlas.lit.pixels[2, 2, :3]) == pytest.approx(wanted[0], abs=0.01)
-    assert to_linear(atlas.albedo.pixels[2, 2, :3]) == pytest.approx(wanted[1], abs=0.01)
-    assert atlas.relief.pixels[2, 2, :3] / 255 == pytest.approx(wanted[2], abs=0.01)
+    wanted = [image.reshape(4, 3)[best] for image in (colors, colors[:, ::-1])]
+    assert to_linear(atlas.albedo.pixels[2, 2, :3]) == pytest.approx(wanted[0], abs=0.01)
+    assert atlas.relief.pixels[2, 2, :3] / 255 == pytest.approx(wanted[1], abs=0.01)
 
 
-def test_colour_is_stored_without_its_coverage_and_lit_and_relief_in_their_spaces() -> None:
-    atlas = compose([whole(photo(np.full((4, 4), 0.25), 0.5, 0.2, 0.5), 4, 4)], (12, 12), 4, "views")
-    assert atlas.lit.pixels[2, 2].tolist() == [188, 188, 188, 255]  # sRGB of 1/2
-    assert atlas.albedo.pixels[2, 2].tolist() == [124, 124, 124, 255]
+def test_images_are_stored_without_coverage_in_their_spaces() -> None:
+    atlas = compose([whole(photo(np.full((4, 4), 0.25), 0.5, 0.5), 4, 4)], (12, 12), 4, "views")
+    assert atlas.albedo.pixels[2, 2].tolist() == [188, 188, 188, 255]  # sRGB of 1/2
     assert atlas.relief.pixels[2, 2].tolist() == [128, 128, 128, 255]  # linear
 
 
 def test_clear_texels_take_what_is_around_them() -> None:
-    red, blue = (photo(np.ones((4, 4)), color, color, color) for color in ((0.8, 0, 0), (0, 0, 0.8)))
+    red, blue = (photo(np.ones((4, 4)), color, color) for color in ((0.8, 0, 0), (0, 0, 0.8)))
     atlas = compose([whole(red, 4, 4), whole(blue, 52, 4)], (60, 12), 4, "views")
-    for image in (atlas.lit, atlas.albedo, atlas.relief):
+    for image in (atlas.albedo, atlas.relief):
         left, right = image.pixels[:, :6, :3].astype(int), image.pixels[:, 24:, :3].astype(int)
         assert (left[..., 0] > 4 * left[..., 2]).all()
         assert (right[..., 2] > 4 * right[..., 0]).all()
@@ -210,15 +208,15 @@ def test_clear_texels_take_what_is_around_them() -> None:
 def test_holes_in_a_leaf_take_the_leaf() -> None:
     alpha = np.ones((8, 8))
     alpha[2:6, 2:6] = 0
-    atlas = compose([whole(photo(alpha, 0.5, 0.5, 0.5), 4, 4)], (16, 16), 4, "views")
-    assert np.ptp(atlas.lit.pixels[..., :3]) <= 1
+    atlas = compose([whole(photo(alpha, 0.5, 0.5), 4, 4)], (16, 16), 4, "views")
+    assert np.ptp(atlas.albedo.pixels[..., :3]) <= 1
     assert not grey(atlas)[6:10, 6:10].any()
 
 
 def test_an_atlas_of_nothing() -> None:
     atlas = compose([], (8, 8), 8, "views")
     assert not grey(atlas).any()
-    assert np.isfinite(atlas.lit.pixels).all()
+    assert np.isfinite(atlas.albedo.pixels).all()
 
 
 @pytest.mark.parametrize(("gutter", "mips"), [(1, 0), (2, 1), (4, 2), (8, 3), (64, 6)])
@@ -244,7 +242,7 @@ def test_no_mip_that_is_kept_shows_a_neighbour(gutter: int) -> None:
 
 
 def values(atlas: PictureAtlas) -> list[Floats]:
-    return [image.pixels for image in (atlas.coverage, atlas.lit, atlas.albedo, atlas.relief)]
+    return [image.pixels for image in (atlas.coverage, atlas.albedo, atlas.relief)]
 
 
 def test_the_order_of_the_parts_does_not_matter() -> None:

@@ -88,7 +88,7 @@ def test_both_trees_are_published_with_one_texture_of_views(works: Path, first: 
         found.append(read_views(shared, name))
     np.testing.assert_array_equal(found[0].atlas.coverage.pixels, found[1].atlas.coverage.pixels)
     assert not np.array_equal(found[0].pictures, found[1].pictures)
-    assert len(list((out / "shared_views/textures").iterdir())) == 4
+    assert len(list((out / "shared_views/textures").iterdir())) == 3
 
 
 def test_what_was_published_is_told_tree_by_tree(works: Path, first: Outcome) -> None:

@@ -23,7 +23,6 @@ from treebake.stages.slicings import SlicingSettings, slicings
 from treebake.stages.slicings.mirror import mirrored_pairs
 
 RED = Material("red", base_color=(0.6, 0.1, 0.1, 1.0), double_sided=True)
-BLACK = Material("black", base_color=(0.0, 0.0, 0.0, 1.0), double_sided=True)
 SMALL = SlicingSettings(orientations=4, slices=3, texels=128, far_texels=16, supersample=2, atlas=1024, gutter=2)
 
 # Seen from the four sides and from above, no leaf hides another; they lie at depths of all slices.
@@ -298,38 +297,36 @@ def seen_from_behind(made: Slicings) -> list[int]:
     return [number for number, row in enumerate(all_rows(made)) if row.range[0] > row.range[1]]
 
 
-def unlit() -> Tree:
-    return leaf_tree(CENTERS, NORMAL, size=SIZE, material=BLACK)
-
-
 def test_what_looks_alike_from_both_sides_is_kept_once() -> None:
-    made = slicings(unlit(), SMALL).slicings
+    made = baked().slicings
     assert seen_from_behind(made) == list(range(6, 12))  # the back and the left, not the one from above, nor the far
-    apart = slicings(unlit(), replace(SMALL, mirror=0.0)).slicings
+    apart = slicings(two_colors(), replace(SMALL, mirror=0.0)).slicings
     assert made.atlas.coverage.pixels[..., 0].sum() < 0.75 * apart.atlas.coverage.pixels[..., 0].sum()
 
 
-@pytest.mark.parametrize("slicing", [2, 3], ids=["back", "left"])
-def test_a_mirrored_slice_shows_what_lies_there(slicing: int) -> None:
-    assert_shows_every_leaf(slicings(unlit(), SMALL).slicings, unlit(), slicing, turns(SMALL)[slicing])
-
-
-def test_what_the_sun_lights_on_one_side_is_not_mirrored() -> None:
-    assert seen_from_behind(baked().slicings) == []
+def test_what_shows_another_colour_from_behind_is_not_mirrored() -> None:
+    tree = two_colors([(0, 0, 0.05), (0, 0, -0.05), (0.4, 0.4, 0.6), (0.4, 0.4, -0.6)], (0, 0, 1))
+    assert seen_from_behind(slicings(tree, SMALL).slicings) == [
+        6,
+        8,
+        9,
+        10,
+        11,
+    ]  # not the middle; on edge they show nothing
 
 
 @pytest.mark.parametrize(
     "settings", [replace(SMALL, mirror=0.0), replace(SMALL, orientations=5)], ids=["tolerance 0", "odd"]
 )
 def test_nothing_is_mirrored(settings: SlicingSettings) -> None:
-    assert seen_from_behind(slicings(unlit(), settings).slicings) == []
+    assert seen_from_behind(slicings(two_colors(), settings).slicings) == []
 
 
 def photo(*columns: float, depth: float = 0.25, slope: tuple[float, float] = (0.6, 0.7)) -> Photo:
     """A picture of one row: coverage of each column; all of it premultiplied."""
     alpha = np.array([columns], np.float32)
     relief = np.stack([alpha * slope[0], alpha * slope[1], alpha * depth], axis=2)
-    return Photo(lit=np.dstack([alpha * 0.5] * 3 + [alpha]), albedo=np.dstack([alpha * 0.5] * 3), relief=relief)
+    return Photo(np.dstack([alpha * 0.5] * 3 + [alpha]), relief)
 
 
 def test_opposite_pictures_pair_by_the_plane_that_they_share() -> None:
@@ -362,7 +359,7 @@ def test_slices_that_show_nothing_pair() -> None:
 
 def test_the_tolerance_is_the_mean_over_what_is_covered() -> None:
     darker = photo(0, 1, depth=0.75, slope=(0.6, 0.3))
-    darker.lit[..., :3] *= np.float32(0.9)  # by 0.05 of 1
+    darker.albedo[..., :3] *= np.float32(0.9)  # by 0.05 of 1
     for tolerance, pairs in ((0.051, {1: 0}), (0.049, {})):
         assert mirrored_pairs([photo(1, 0), darker], 2, 1, tolerance) == pairs
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.synthetic import BACK, FRONT, joined, quad, small_tree, texture
+from tests.synthetic import BACK, FRONT, joined, lit, quad, small_tree, texture
 from tests.trees import tree
 from treebake.errors import GraphicsError
 from treebake.gl.context import context
@@ -19,8 +19,6 @@ from treebake.meshes import read_mesh
 from treebake.model import AlphaMode, Material, Mesh, Texture
 from treebake.verify.cameras import FIELD_OF_VIEW, MARGIN, Camera, cameras
 
-SUN_DIRECTION = np.array([0.5, 0.8, 0.35]) / np.linalg.norm([0.5, 0.8, 0.35])
-SUN, SKY, GROUND = np.array([[1.25, 1.15, 1.0], [0.45, 0.52, 0.62], [0.22, 0.20, 0.16]])
 GREY = Material("grey", base_color=(0.2, 0.2, 0.2, 1.0))
 UNIT = np.array([(0, 1), (1, 1), (1, 0), (0, 0)], float)  # texture coordinates of an upright picture
 HALF = 1e-3  # colours are kept in half floats
@@ -35,13 +33,6 @@ def _no_gl_error() -> Iterator[None]:
 def draw(mesh: Mesh, view: View = FRONT, *, exact_cutouts: bool = False) -> Picture:
     with closing(Drawing(mesh, exact_cutouts=exact_cutouts)) as drawing:
         return drawing.picture(view)
-
-
-def lit(albedo: object, normal: object) -> np.ndarray:
-    """The shader's readable twin: linear colour of a surface."""
-    n = np.asarray(normal, np.float64) / np.linalg.norm(np.asarray(normal))
-    light = SUN * max(n @ SUN_DIRECTION, 0.0) + GROUND + (SKY - GROUND) * (0.5 + 0.5 * n[1])
-    return np.minimum(np.asarray(albedo) * light, 1.0)
 
 
 @pytest.mark.parametrize("normal", [(0, 0, 1), (0, 1, 0), (0, -1, 0), (0.6, 0, 0.8), (-0.6, 0.8, 0)])

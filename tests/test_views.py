@@ -354,7 +354,7 @@ def of_all(impostors: tuple[Impostor, ...]) -> list[np.ndarray]:
     found: list[np.ndarray] = []
     for impostor in impostors:
         atlas = impostor.views.atlas
-        images = [image.pixels for image in (atlas.coverage, atlas.lit, atlas.albedo, atlas.relief)]
+        images = [image.pixels for image in (atlas.coverage, atlas.albedo, atlas.relief)]
         rest = [np.asarray(value) for value in astuple(replace(impostor.views, atlas=0))]
         maps = [getattr(impostor.standard.materials[0], name).pixels for name in ("color_map", "normal_map")]
         mesh = [impostor.standard.positions, impostor.standard.uvs, impostor.standard.faces]

@@ -36,8 +36,8 @@ def crossed_cards(shots: Sequence[Shot], photos: Sequence[Photo], depths: Double
     for index, (left, top, right, bottom), (x, y) in zip(shown, crops, origins, strict=True):
         photo, here = photos[index], np.s_[top:bottom, left:right]
         there = np.s_[y : y + bottom - top, x : x + right - left]
-        albedo[there] = np.dstack([photo.albedo[here], photo.lit[here][..., 3]])
-        normal[there] = _normals(photo.relief[here], photo.lit[here][..., 3])
+        albedo[there] = photo.albedo[here]
+        normal[there] = _normals(photo.relief[here], photo.albedo[here][..., 3])
     alpha = preserve_coverage(albedo[..., 3], _CUTOFF)
     texels = np.dstack([color_texels(albedo), np.rint(alpha * 255).astype(np.uint8)])
     material = Material(

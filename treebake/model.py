@@ -254,16 +254,15 @@ class IndirectTextures:
 
 @dataclass(frozen=True, eq=False)
 class PictureAtlas:
-    """Pictures that stand in for a tree or parts of it, packed into one layout that four images share.
+    """Pictures that stand in for a tree or parts of it, packed into one layout that three images share.
 
-    coverage: grey, what part of each texel is covered. The others have half its width and height. lit: sRGB colour
-    under the lamps of the bake. albedo: sRGB, without light. relief: RG are the surface's slopes to the picture's right
-    and up, -4 to 4; B is depth, from the far end of the picture's range to the viewer's. mips: how many of the
-    coverage's, below its first one, show nothing of a picture's neighbours.
+    coverage: grey, what part of each texel is covered. The others have half its width and height. albedo: sRGB,
+    without light. relief: RG are the surface's slopes to the picture's right and up, -4 to 4; B is depth, from the far
+    end of the picture's range to the viewer's. mips: how many of the coverage's, below its first one, show nothing of
+    a picture's neighbours.
     """
 
     coverage: Texture
-    lit: Texture
     albedo: Texture
     relief: Texture
     mips: int
@@ -279,7 +278,7 @@ class Slicings:
     count: slices of a slicing. center: (3,) float64, shared by all slicings. size: greatest extent of the foliage.
     above: whether there is a slicing seen from above. far_height: pixels of that size below which one slice is drawn.
     dropped: of the furthest slices, not drawn. brightness: m of the correction 1 + m alpha_s. exposure: factor of the
-    lit colours. untrimmed: texels of all slices before empty parts were cut off.
+    light. untrimmed: texels of all slices before empty parts were cut off.
     """
 
     slices: Floats

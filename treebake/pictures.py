@@ -31,7 +31,7 @@ class Part:
 
 def covered(photo: Photo) -> NDArray[np.bool_]:
     """(h, w) bool, the texels that show anything; a single sample of 16 at a picture's edge is nothing."""
-    return photo.lit[..., 3] > _LEAST
+    return photo.albedo[..., 3] > _LEAST
 
 
 def trimmed(used: NDArray[np.bool_]) -> tuple[int, int, int, int]:
@@ -104,25 +104,22 @@ def compose(parts: Iterable[Part], size: tuple[int, int], gutter: int, name: str
     """
     width, height = size
     coverage = np.zeros((height, width), np.float32)
-    values = np.zeros((height, width, 9), np.float32)  # lit, albedo, relief
+    values = np.zeros((height, width, 6), np.float32)  # albedo, relief
     for part in parts:
         photo, (rows, columns), (x, y) = part.photo, part.source, part.origin
         # The gutter shows what is around the part, so that nothing fades where a picture was cut in two.
         top, left = (min(gutter, window.start) for window in (rows, columns))
         here = np.s_[rows.start - top : rows.stop + gutter, columns.start - left : columns.stop + gutter]
-        alpha = photo.lit[here][..., 3]
+        alpha = photo.albedo[here][..., 3]
         there = np.s_[y - top : y - top + alpha.shape[0], x - left : x - left + alpha.shape[1]]
         coverage[there] = alpha
-        values[there] = np.concatenate(
-            [image[here][..., :3] for image in (photo.lit, photo.albedo, photo.relief)], axis=2
-        )
+        values[there] = np.dstack([photo.albedo[here][..., :3], photo.relief[here]])
     best = _blocks(coverage[..., None]).argmax(axis=2)[..., None]
     alpha = np.take_along_axis(_blocks(coverage[..., None]), best, axis=2)[:, :, 0]
     values = np.take_along_axis(_blocks(values), best, axis=2)[:, :, 0]
-    lit, albedo, relief = (bleed(np.dstack([values[..., i : i + 3], alpha])) for i in (0, 3, 6))
+    albedo, relief = (bleed(np.dstack([values[..., i : i + 3], alpha])) for i in (0, 3))
     return PictureAtlas(
         coverage=_texture(f"{name}_coverage", np.repeat(_bytes(coverage)[..., None], 3, axis=2)),
-        lit=_texture(f"{name}_lit", to_srgb(lit)),
         albedo=_texture(f"{name}_albedo", to_srgb(albedo)),
         relief=_texture(f"{name}_relief", _bytes(relief)),
         mips=gutter.bit_length() - 1,

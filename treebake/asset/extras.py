@@ -44,7 +44,6 @@ class AtlasExtras:
     """glTF textures of an atlas of pictures."""
 
     coverage: Index
-    lit: Index
     albedo: Index
     relief: Index
     mips: Index  # of the coverage, below its first one, that show no picture's neighbours

@@ -15,8 +15,8 @@ from treebake.formats.gltf_file import GltfFile
 from treebake.glb import write_glb
 from treebake.model import Floats, Impostor, PictureAtlas, SlicedFoliage, Slicings, Texture, Views
 
-ATLAS = {"coverage": "linear", "lit": "sRGB", "albedo": "sRGB", "relief": "linear"}  # with their colour spaces
-_DRAWN = {"coverage": 8, "lit": 8, "relief": 16 + 8}  # bytes of a block: BC4, BC1, BC5 and BC4
+ATLAS = {"coverage": "linear", "albedo": "sRGB", "relief": "linear"}  # with their colour spaces
+_DRAWN = {"coverage": 8, "albedo": 8, "relief": 16 + 8}  # bytes of a block: BC4, BC1, BC5 and BC4
 SUPPORT = 33
 
 
@@ -142,7 +142,7 @@ def _names(extras: Extras) -> tuple[str, ...]:
 
 
 def atlas_bytes(atlas: PictureAtlas) -> int:
-    """Bytes on the graphics card of what drawing looks up: coverage BC4, lit BC1, slopes BC5, depth BC4.
+    """Bytes on the graphics card of what drawing looks up: coverage BC4, albedo BC1, slopes BC5, depth BC4.
 
     With the mips that show nothing of neighbours; no others are ever looked up.
     """
@@ -174,8 +174,6 @@ def _table(file: GltfFile, index: int, columns: int) -> Floats:
 def _sound(table: Floats, atlas: PictureAtlas) -> bool:
     """Whether all texture coordinates of a table of pictures are inside, and the images fit each other."""
     height, width = atlas.coverage.pixels.shape[:2]
-    halves = all(
-        image.pixels.shape[:2] == (height // 2, width // 2) for image in (atlas.lit, atlas.albedo, atlas.relief)
-    )
+    halves = all(image.pixels.shape[:2] == (height // 2, width // 2) for image in (atlas.albedo, atlas.relief))
     inside = (table[:, 4::2] >= 0) & (table[:, 4::2] <= 1)
     return bool(len(table) and np.isfinite(table).all() and inside.all() and halves)

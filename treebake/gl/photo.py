@@ -35,12 +35,11 @@ class Shot:
 class Photo:
     """A picture, row 0 on top, all of it premultiplied by coverage.
 
-    lit: (h, w, 4) float32, linear light under the verifier's lamps; alpha is coverage in 0..1. albedo: (h, w, 3)
-    float32, linear. relief: (h, w, 3) float32: the surface's slopes to the right and up, -4 to 4 as 0 to 1, and its
-    depth, from 0 at the far end of the shot's box to 1 at the viewer's.
+    albedo: (h, w, 4) float32, linear, without light; alpha is coverage in 0..1. relief: (h, w, 3) float32: the
+    surface's slopes to the right and up, -4 to 4 as 0 to 1, and its depth, from 0 at the far end of the shot's box to
+    1 at the viewer's.
     """
 
-    lit: Floats
     albedo: Floats
     relief: Floats
 
@@ -76,7 +75,7 @@ class _Studio:
     def take(self, shot: Shot, supersample: int) -> Photo:
         shader = self._program
         if self._film is None or self._film.size != shot.size:
-            self._film = Film(self._gl, shot.size, supersample, count=3)
+            self._film = Film(self._gl, shot.size, supersample, count=2)
         film = self._film
         film.expose()
         shader["to_clip"] = column_major(_parallel(shot))
@@ -86,8 +85,8 @@ class _Studio:
             shader["slab"] = tuple(np.clip(slab, -1e30, 1e30).tolist())
             self._draw(faces)
         self._gl.cull_face = "back"
-        lit, albedo, relief = film.develop()
-        return Photo(lit, np.ascontiguousarray(albedo[..., :3]), np.ascontiguousarray(relief[..., :3]))
+        albedo, relief = film.develop()
+        return Photo(albedo, np.ascontiguousarray(relief[..., :3]))
 
     def _draw(self, faces: Ints) -> None:
         if not len(faces):

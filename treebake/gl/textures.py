@@ -55,7 +55,7 @@ def upload_atlas(gl: moderngl.Context, atlas: PictureAtlas, hint: str) -> dict[s
     half = max(atlas.mips - 1, 0)
     return {
         "coverage": upload_compressed(gl, atlas.coverage, hint, srgb=False, mips=atlas.mips),
-        "lit": upload_compressed(gl, atlas.lit, hint, srgb=True, mips=half),
+        "albedo": upload_compressed(gl, atlas.albedo, hint, srgb=True, mips=half),
         "relief": upload_compressed(gl, atlas.relief, hint, srgb=False, mips=half),
     }
 

@@ -1,4 +1,4 @@
-// Photographs a mesh for a picture that stands in for it: lit, and what it takes to light it anew. Cut-outs are tested
+// Photographs a mesh for a picture that stands in for it: what it takes to light it where it stands. Cut-outs are tested
 // unfiltered, as if leaves were modelled: mips thin what is cut out and mix in what lies under it.
 #ifdef VERTEX_STAGE
 uniform mat4 to_clip;  // a parallel projection; rows run downwards in the picture, so it is upside down
@@ -32,14 +32,11 @@ in vec3 position;
 in vec3 normal;
 in vec2 uv;
 
-layout(location = 0) out vec4 out_lit;
-layout(location = 1) out vec4 out_albedo;
-layout(location = 2) out vec4 out_relief;  // slopes to the right and up, and depth
+layout(location = 0) out vec4 out_albedo;
+layout(location = 1) out vec4 out_relief;  // slopes to the right and up, and depth
 
 #include "cutout.glsl"
-#include "lighting.glsl"
 #include "normal_map.glsl"
-
 #include "slopes.glsl"
 
 void main() {
@@ -53,7 +50,6 @@ void main() {
         vec3 bump = textureLod(normal_map, uv, 0.0).xyz * 2.0 - 1.0;
         facing = bumped(facing, side, bump, dFdx(position), dFdy(position), dFdx(uv), dFdy(uv));
     }
-    out_lit = vec4(lit(color.rgb, facing), 1.0);
     out_albedo = vec4(color.rgb, 1.0);
     vec3 seen = turn * facing;
     vec2 slope = seen.xy / max(seen.z, 1e-3);

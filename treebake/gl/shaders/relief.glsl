@@ -2,7 +2,7 @@
 // followed through the picture's depth in steps, as if every picture were a stack of thinner ones.
 
 uniform sampler2D coverage;
-uniform sampler2D lit;     // half as wide and high, as is the next
+uniform sampler2D albedo;  // half as wide and high, as is the next
 uniform sampler2D relief;  // slopes of the surface in RG, depth in B
 
 #include "slopes.glsl"
@@ -14,9 +14,9 @@ struct Picture {
     float plane;  // depth at which all of it lies where it is not followed in steps
 };
 
-// Colour premultiplied by coverage, of the ray that meets depth 0 at `place` and moves by `way` for each unit towards the
-// viewer. lod: mip of the coverage. height: mean depth of what is seen.
-vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out float height) {
+// Albedo premultiplied by coverage, of the ray that meets depth 0 at `place` and moves by `way` for each unit towards the
+// viewer. lod: mip of the coverage. height, slope: mean depth and slopes of what is seen.
+vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out float height, out vec2 slope) {
     vec2 scale = (picture.texels.zw - picture.texels.xy) / (picture.bounds.zw - picture.bounds.xy);
     vec2 origin = picture.texels.xy - picture.bounds.xy * scale;
     float half_lod = max(lod - 1.0, 0.0);
@@ -25,7 +25,7 @@ vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out 
     float farthest = nearest - (float(steps) - 0.5) * thick;
     float left = 1.0;  // of the ray's light
     height = 0.0;
-    vec2 slope = vec2(0.0);
+    slope = vec2(0.0);
     for (int i = 0; i < steps; ++i) {
         float depth = steps == 1 ? picture.plane : nearest - (float(i) + 0.5) * thick;
         vec2 at = place + way * depth;
@@ -33,8 +33,7 @@ vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out 
         vec3 surface = textureLod(relief, uv, half_lod).rgb;
         float there = mix(picture.range.x, picture.range.y, surface.b);
         float part = textureLod(coverage, uv, lod).r;
-        vec2 steep = (surface.rg * 2.0 - 1.0) * STEEPEST;
-        if (picture.range.x > picture.range.y) steep.y = -steep.y;
+        vec2 steep = slopes_of(surface.rg, picture.range);
         // A depth between two steps belongs to both in parts, which add up to one; the first and last own their ends. On
         // a slope the ray comes nearer by more than a step at a time, of which as much is made up for as does not blur.
         float nearing = clamp(abs(1.0 + dot(steep, way)), 1.0, 1.25);
@@ -47,10 +46,11 @@ vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out 
     }
     float sum = 1.0 - left;
     height /= max(sum, 1e-6);
+    slope /= max(sum, 1e-6);
     vec2 uv = origin + (place + way * (steps == 1 ? picture.plane : height)) * scale;
-    vec3 color = textureLod(lit, uv, half_lod).rgb;
+    vec3 color = textureLod(albedo, uv, half_lod).rgb;
     // A surface turned to the viewer covers more than it did in the picture, one turned away less.
-    float turned = abs(dot(vec3(slope / max(sum, 1e-6), 1.0), normalize(vec3(way, 1.0))));
+    float turned = abs(dot(vec3(slope, 1.0), normalize(vec3(way, 1.0))));
     sum = 1.0 - pow(1.0 - sum, max(turned, 1e-3));
     return sum * vec4(color, 1.0);
 }

@@ -2,7 +2,7 @@
 #include "slicings_quads.glsl"
 
 #ifdef FRAGMENT_STAGE
-uniform float exposure;  // of the lit colours
+uniform float exposure;  // of the light
 uniform mat4 to_clip;
 
 flat in vec4 bounds;
@@ -18,18 +18,21 @@ in vec2 place;
 layout(location = 0) out vec4 color;
 layout(location = 1) out vec4 depth;
 
+#include "lighting.glsl"
 #include "relief.glsl"
 
 void main() {
     float height;
+    vec2 slope;
     float density = (texels.z - texels.x) / (bounds.z - bounds.x) * float(textureSize(coverage, 0).x);
     vec2 way = (viewer.xy - place) / viewer.z;
     Picture picture = Picture(bounds, texels, range, 0.0);
-    vec4 found = look_into(picture, place, way, lod_of(dFdx(place), dFdy(place), density), steps, height);
+    vec4 found = look_into(picture, place, way, lod_of(dFdx(place), dFdy(place), density), steps, height, slope);
     if (found.a == 0.0) discard;
     vec4 clip = to_clip * vec4(origin + frame * vec3(place + way * height, height), 1.0);
     gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;
-    color = vec4(found.rgb * exposure, found.a) * opacity;
+    vec3 light = lit_softly(exposure * found.rgb / found.a, frame * vec3(slope, 1.0));
+    color = vec4(light, 1.0) * (found.a * opacity);
     depth = vec4(clip.w * color.a, 0.0, 0.0, color.a);
 }
 #endif

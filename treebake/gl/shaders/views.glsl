@@ -7,7 +7,7 @@ uniform bool hemi;
 uniform float density;      // texels of a unit
 uniform int layers;         // of a view, one behind the other
 uniform float brightness;   // m of the correction 1 + m alpha_s, as for slicings
-uniform float exposure;     // of the lit colours
+uniform float exposure;     // of the light
 uniform sampler2D pictures;
 
 flat in ivec3 chosen;
@@ -21,6 +21,7 @@ in vec3 point;
 layout(location = 0) out vec4 color;
 layout(location = 1) out vec4 depth;
 
+#include "lighting.glsl"
 #include "relief.glsl"
 
 const float OBLIQUE = 1.0;  // tangent of the angle to a view beyond which it is shown as from there
@@ -50,8 +51,11 @@ vec4 look_at(int view, out vec3 seen) {
         Picture picture = Picture(bounds, entry(4, row), range, 0.5 * (range.x + range.y));
         float shift = (range.y - range.x) * length(way) * pixels;
         float height;
+        vec2 slope;
         int steps = clamp(int(ceil(shift / STEP)), 1, MOST_STEPS);
-        vec4 found = (1.0 - sum.a) * look_into(picture, place, way, lod, steps, height);
+        vec4 found = look_into(picture, place, way, lod, steps, height, slope);
+        vec3 light = lit_softly(exposure * found.rgb / max(found.a, 1e-6), axes * (frame * vec3(slope, 1.0)));
+        found = (1.0 - sum.a) * found.a * vec4(light, 1.0);
         sum += found;
         seen += found.a * (frame * vec3(place + way * height, height));
     }
@@ -73,7 +77,7 @@ void main() {
     }
     if (sum.a < 1.0 / 255.0) discard;
     // Views show the same tree, so neither is in front: they are mixed by what each covers.
-    color = vec4(exposure * sum.rgb / sum.a, 1.0) * (1.0 - through);
+    color = vec4(sum.rgb / sum.a, 1.0) * (1.0 - through);
     vec4 clip = to_clip * vec4(middle + axes * (place / sum.a), 1.0);
     gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;
     depth = vec4(clip.w * color.a, 0.0, 0.0, color.a);

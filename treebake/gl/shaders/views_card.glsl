@@ -25,9 +25,7 @@ out vec3 point;        // on the card
 uniform int layers;
 uniform sampler2D pictures;
 
-flat out vec4 limits[FLAT_LAYERS];  // of each layer of each view: least and greatest texture coordinates
 out vec2 uv[FLAT_LAYERS];
-out float along;
 
 // Where the point of the card is looked up in each layer, taken for flat at its middle depth.
 void look_up() {
@@ -36,8 +34,7 @@ void look_up() {
         mat3 frame = mat3(texelFetch(pictures, ivec2(0, row), 0).xyz, texelFetch(pictures, ivec2(1, row), 0).xyz,
                           texelFetch(pictures, ivec2(2, row), 0).xyz);
         float plane = 0.5 * (texelFetch(pictures, ivec2(1, row), 0).w + texelFetch(pictures, ivec2(2, row), 0).w);
-        uv[i] = vec2(0.0);
-        limits[i] = vec4(1.0, 1.0, 0.0, 0.0);  // nothing is inside
+        uv[i] = vec2(-1.0);  // outside of any rectangle
         vec4 bounds = texelFetch(pictures, ivec2(3, row), 0);
         if (bounds.x == bounds.z) continue;
         vec4 texels = texelFetch(pictures, ivec2(4, row), 0);
@@ -47,7 +44,6 @@ void look_up() {
         way *= min(1.0, 1.0 / max(length(way), 1e-6));
         vec2 place = at.xy - way * (at.z - plane);
         uv[i] = texels.xy + (place - bounds.xy) / (bounds.zw - bounds.xy) * (texels.zw - texels.xy);
-        limits[i] = vec4(min(texels.xy, texels.zw), max(texels.xy, texels.zw));
     }
 }
 #endif
@@ -110,7 +106,6 @@ void main() {
     gl_Position = distance_ > 1.001 * radius ? to_clip * vec4(middle + axes * point, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 #ifdef FLAT
     look_up();
-    along = gl_Position.w;
 #endif
 }
 #endif

@@ -9,26 +9,36 @@ uniform int layers;
 uniform float brightness;
 uniform float exposure;
 uniform sampler2D coverage;
-uniform sampler2D lit;
+uniform sampler2D albedo;
+uniform sampler2D relief;
+uniform sampler2D pictures;
 
+flat in ivec3 chosen;
 flat in vec3 shares;
-flat in vec4 limits[FLAT_LAYERS];
+flat in mat3 axes;
 in vec2 uv[FLAT_LAYERS];
-in float along;
 
 layout(location = 0) out vec4 color;
 layout(location = 1) out vec4 depth;
+
+#include "lighting.glsl"
+#include "slopes.glsl"
 
 void main() {
     float correction = 1.0 + brightness * (1.0 - max(shares.x, max(shares.y, shares.z)));
     vec4 sum = vec4(0.0);
     float through = 1.0;
     for (int i = 0; i < (hemi ? 3 : 2); ++i) {
+        int row = chosen[i] * layers;
+        mat3 frame = axes * mat3(texelFetch(pictures, ivec2(0, row), 0).xyz, texelFetch(pictures, ivec2(1, row), 0).xyz,
+                                 texelFetch(pictures, ivec2(2, row), 0).xyz);
         vec4 found = vec4(0.0);
         for (int layer = 0; layer < layers; ++layer) {
             int n = i * layers + layer;
-            bool inside = uv[n] == clamp(uv[n], limits[n].xy, limits[n].zw);
-            vec3 light = texture(lit, uv[n]).rgb;
+            vec4 texels = texelFetch(pictures, ivec2(4, row + layer), 0);
+            bool inside = uv[n] == clamp(uv[n], min(texels.xy, texels.zw), max(texels.xy, texels.zw));
+            vec2 slope = (texture(relief, uv[n]).rg * 2.0 - 1.0) * STEEPEST;
+            vec3 light = lit_softly(exposure * texture(albedo, uv[n]).rgb, frame * vec3(slope, 1.0));
             float covered = texture(coverage, uv[n]).r;
             if (inside) found += (1.0 - found.a) * covered * vec4(light, 1.0);
         }
@@ -37,7 +47,7 @@ void main() {
         through *= 1.0 - found.a;
     }
     if (sum.a < 1.0 / 255.0) discard;
-    color = vec4(exposure * sum.rgb / sum.a, 1.0) * (1.0 - through);
-    depth = vec4(along * color.a, 0.0, 0.0, color.a);
+    color = vec4(sum.rgb / sum.a, 1.0) * (1.0 - through);
+    depth = vec4(color.a / gl_FragCoord.w, 0.0, 0.0, color.a);
 }
 #endif

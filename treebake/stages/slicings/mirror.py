@@ -13,7 +13,8 @@ def mirrored_pairs(photos: Sequence[Photo], orientations: int, count: int, toler
 
     photos: of `count` slices each, slicing after slicing around the tree; any more are left alone. Two opposite
     slicings share their planes. A pair is found where colour, coverage and relief differ by at most `tolerance` (of
-    1) in the mean over what is covered: leaves lit alike on both sides are rare, so most trees have none. O(texels).
+    1) in the mean over what is covered. Where leaves hide each other, each side shows others, so dense trees have none.
+    O(texels).
     """
     if orientations % 2 or tolerance <= 0:
         return {}
@@ -37,12 +38,12 @@ def seen_from_behind(front: Floats, behind: Floats) -> Floats:
 
 
 def _difference(front: Photo, behind: Photo) -> float:
-    if front.lit.shape != behind.lit.shape:
+    if front.albedo.shape != behind.albedo.shape:
         return float("inf")
-    mirrored = front.lit[:, ::-1]
+    mirrored = front.albedo[:, ::-1]
     relief = front.relief[:, ::-1].copy()
     alpha = mirrored[..., 3:]
     relief[..., 1:] = alpha - relief[..., 1:]  # the slope up and the depth run the other way; both premultiplied
-    both = np.concatenate([mirrored - behind.lit, relief - behind.relief], axis=2)
-    area = float(np.maximum(front.lit[:, ::-1, 3], behind.lit[..., 3]).sum())
+    both = np.concatenate([mirrored - behind.albedo, relief - behind.relief], axis=2)
+    area = float(np.maximum(front.albedo[:, ::-1, 3], behind.albedo[..., 3]).sum())
     return float(np.abs(both).max(axis=2).sum()) / area if area else 0.0
