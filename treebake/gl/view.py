@@ -94,6 +94,11 @@ class Grove:
         opacities = None if self.opacities is None else self.opacities[chosen]
         return Grove(self.places[chosen], self.turns[chosen], opacities)
 
+    def whole_and_fading(self) -> "tuple[Grove, Grove]":
+        """Those that are drawn whole, and those that are changing."""
+        whole = np.ones(len(self.turns), bool) if self.opacities is None else self.opacities >= 1
+        return self.select(whole), self.select(~whole)
+
     def instances(self, eye: Doubles, center: Doubles) -> Floats:
         """Rows for `grove.glsl`, (n, 7) float32, the tree whose center is farthest from `eye` first."""
         opacities = np.ones(len(self.turns)) if self.opacities is None else self.opacities

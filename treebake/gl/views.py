@@ -40,12 +40,15 @@ class ViewCards:
         gl, views = self._gl, self._views
         gl.enable(gl.BLEND)
         gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
-        onto.depth_mask = True
         at_once = (3 if views.layout == "hemi" else 2) * views.layers
         pixels = RELIEF_HEIGHT if at_once <= _FLAT_LAYERS else 0.0
-        far, near = far_and_near(view, grove, views.center, 2 * views.radius, pixels)
-        self._draw(self._plain, view, far)
-        self._draw(self._relief, view, near)
+        # One that is vanishing must not hide what is drawn in its place.
+        for trees, hides in zip(grove.whole_and_fading(), (True, False), strict=True):
+            onto.depth_mask = hides
+            far, near = far_and_near(view, trees, views.center, 2 * views.radius, pixels)
+            self._draw(self._plain, view, far)
+            self._draw(self._relief, view, near)
+        onto.depth_mask = True
 
     def count(self, view: View, grove: Grove = ONE_TREE) -> None:
         """Add the fragments that the card asks for to the framebuffer in use."""

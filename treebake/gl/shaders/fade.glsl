@@ -1,6 +1,7 @@
-// Lets what is drawn solid fade: as large a part of its pixels is drawn as its opacity says, always the same ones.
-bool faded_out(float opacity) {
-    uint h = uint(gl_FragCoord.x) * 0x9E3779B1u ^ uint(gl_FragCoord.y) * 0x85EBCA77u;
+// Lets what is drawn solid fade: as large a part of it is drawn as its opacity says, always the same one, so that from
+// frame to frame only what comes or goes differs.
+bool faded(uint which, float opacity) {
+    uint h = which * 0x9E3779B1u;
     h ^= h >> 15;
     h *= 0x2C1B3C6Du;
     h ^= h >> 12;

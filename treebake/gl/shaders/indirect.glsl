@@ -81,7 +81,6 @@ bool meets_far(Billboard board, vec3 point, float share, float sample_width, boo
 }
 
 void main() {
-    if (faded_out(opacity)) discard;
     Billboard board = read_billboard(billboard);
     // As if the tree stood upright at its own origin, in its own size, and the world were moved instead.
     mat3 turn = mat3(turning.x, 0.0, -turning.y, 0.0, 1.0, 0.0, turning.y, 0.0, turning.x);
@@ -104,6 +103,7 @@ void main() {
     Hit hit = look_up(board, start, way, spread, share, dither(2 * billboard));
     Surface surface;
     if (hit.placement >= 0) {
+        if (faded(uint(hit.placement), opacity)) discard;
         surface = leaf_surface(board, hit, way);
     } else if (share == 1.0 || at_plane <= 0.0 || at_plane >= 1.0 || !meets_far(board, start + at_plane * way, share, 0.5 / pixels, way.z < 0.0, surface)) {
         discard;

@@ -13,14 +13,12 @@ flat in vec4 thresholds;
 flat in vec4 axes[3];
 flat in vec2 texels;
 flat in float side;
-flat in float opacity;
 in vec2 place;
 
 layout(location = 0) out vec4 color;
 layout(location = 1) out vec4 depth;
 
 #include "lighting.glsl"
-#include "fade.glsl"
 #include "samples.glsl"
 
 const float MOST_LOD = 4.0;  // mips keep the images of the leaves apart so far
@@ -33,7 +31,6 @@ vec2 in_image(vec2 at, vec2 inner) {
 }
 
 void main() {
-    if (faded_out(opacity)) discard;
     float range = 1.0 / gl_FragCoord.w;
     bool twig = axes[2].w > 0.5;
     vec2 atlas = vec2(textureSize(leaf_color, 0));

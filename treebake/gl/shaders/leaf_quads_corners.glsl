@@ -6,13 +6,13 @@ uniform sampler2D cards;   // 3 texels each, 1024 cards in a row
 uniform sampler2D shapes;  // 4 texels a row: box and kind; image of the front; of the back; thresholds
 
 #include "grove.glsl"
+#include "fade.glsl"
 
 flat out vec4 image;       // corner and size in texture coordinates, of the side that is seen; u runs as the place does
 flat out vec4 thresholds;  // of the mips 1 to 4
 flat out vec4 axes[3];     // right, down, away of the image, unit, in the world; the last one's w: whether it is a twig
 flat out vec2 texels;      // of the image, across and down, to a unit of the world
 flat out float side;       // -1 where the back is seen
-flat out float opacity;
 out vec2 place;            // on the card, -1..1
 
 void main() {
@@ -43,9 +43,8 @@ void main() {
     axes[0] = vec4(across / half_.x, 0.0);
     axes[1] = vec4(along / half_.y, 0.0);
     axes[2] = vec4(away, twig ? 1.0 : 0.0);
-    opacity = in_opacity;
-    // A side that is never seen shows nothing.
-    gl_Position = image.z == 0.0 ? vec4(2.0, 2.0, 2.0, 1.0)
+    bool shown = image.z != 0.0 && !faded(uint(number), in_opacity);  // a side that is never seen shows nothing
+    gl_Position = !shown ? vec4(2.0, 2.0, 2.0, 1.0)
                                  : to_clip * vec4(center + place.x * across + place.y * along, 1.0);
 }
 #endif

@@ -76,7 +76,7 @@ vec4 cut_out(out int passed) {
 #endif
 
 void main() {
-    if (faded_out(opacity)) discard;
+    if (faded(uint(gl_FragCoord.x) ^ uint(gl_FragCoord.y) << 16, opacity)) discard;
     float side = gl_FrontFacing ? 1.0 : -1.0;
     vec4 albedo = base_color * texture(color_map, uv);
     vec3 facing = side * normalize(normal);

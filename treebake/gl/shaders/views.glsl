@@ -15,6 +15,7 @@ flat in vec3 shares;
 flat in vec3 viewer;
 flat in float pixels;
 flat in mat3 axes;
+flat in float opacity;
 flat in vec3 middle;
 in vec3 point;
 
@@ -69,15 +70,15 @@ void main() {
     float through = 1.0;
     for (int i = 0; i < (hemi ? 3 : 2); ++i) {
         vec3 seen;
-        float opacity = min(correction * shares[i], 1.0);
-        vec4 found = opacity * look_at(chosen[i], seen);
+        float share = min(correction * shares[i], 1.0);
+        vec4 found = share * look_at(chosen[i], seen);
         sum += found;
-        place += opacity * seen;
+        place += share * seen;
         through *= 1.0 - found.a;
     }
     if (sum.a < 1.0 / 255.0) discard;
     // Views show the same tree, so neither is in front: they are mixed by what each covers.
-    color = vec4(sum.rgb / sum.a, 1.0) * (1.0 - through);
+    color = vec4(sum.rgb / sum.a, 1.0) * (1.0 - through) * opacity;
     vec4 clip = to_clip * vec4(middle + axes * (place / sum.a), 1.0);
     gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;
     depth = vec4(clip.w * color.a, 0.0, 0.0, color.a);

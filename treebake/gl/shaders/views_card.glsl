@@ -19,6 +19,7 @@ flat out vec3 shares;
 flat out vec3 viewer;  // from the tree's center, as all below
 flat out float pixels; // that a unit takes up
 flat out mat3 axes;    // the tree's, in the world
+flat out float opacity;
 flat out vec3 middle;  // its center, in the world
 out vec3 point;        // on the card
 #ifdef FLAT
@@ -101,6 +102,7 @@ void main() {
     vec2 place = (here * vec2(sin(b), -cos(b)) - following * vec2(sin(a), -cos(a))) / sin(EIGHTH);
     point = right * place.x + up * place.y;
     axes = turned(mat3(1.0));
+    opacity = in_opacity;
     middle = turned_point(center);
     pixels = focus / distance_;
     gl_Position = distance_ > 1.001 * radius ? to_clip * vec4(middle + axes * point, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);

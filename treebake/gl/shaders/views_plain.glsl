@@ -16,6 +16,7 @@ uniform sampler2D pictures;
 flat in ivec3 chosen;
 flat in vec3 shares;
 flat in mat3 axes;
+flat in float opacity;
 in vec2 uv[FLAT_LAYERS];
 
 layout(location = 0) out vec4 color;
@@ -47,7 +48,7 @@ void main() {
         through *= 1.0 - found.a;
     }
     if (sum.a < 1.0 / 255.0) discard;
-    color = vec4(sum.rgb / sum.a, 1.0) * (1.0 - through);
+    color = vec4(sum.rgb / sum.a, 1.0) * (1.0 - through) * opacity;
     depth = vec4(color.a / gl_FragCoord.w, 0.0, 0.0, color.a);
 }
 #endif

@@ -23,7 +23,7 @@ class ViewSettings:
     """From where a tree is photographed, and how finely."""
 
     enabled: bool = True  # bake view impostors
-    layout: str = "ring"  # "ring": pictures around the tree; "hemi": from all over the upper half, on a hemi-octahedron
+    layout: str = "hemi"  # "ring": pictures around the tree; "hemi": from all over the upper half, on a hemi-octahedron
     count: int = 8  # pictures of a ring, 2 to 64
     side: int = 12  # pictures along a side of the hemi-octahedron, 2 to 32
     layers: int = 3  # of each picture, one behind the other: what a nearer one hides shows from aside, 1 to 8
