@@ -18,7 +18,8 @@ class LeafQuads:
     """The cards on the graphics card; the images go through block compression, as an engine would keep them."""
 
     def __init__(self, gl: moderngl.Context, leaves: LeafCards) -> None:
-        self._gl, self._program, self._counter = gl, program("leaf_quads"), program("leaf_quads_count")
+        self._gl, self._counter = gl, program("leaf_quads_count")
+        self._programs = {1: program("leaf_quads"), 4: program("leaf_quads_4")}  # by samples of a pixel
         count = self._count = len(leaves.cards)
         rows = np.zeros((-(-count // _ROW) * _ROW, 3, 4), np.float32)
         rows[:count] = leaves.cards
@@ -35,8 +36,7 @@ class LeafQuads:
         """Draw all leaves of all trees into `onto`, the framebuffer in use; depth is tested and written."""
         onto.depth_mask = True
         self._gl.disable(self._gl.BLEND)
-        self._program["samples"] = max(onto.samples, 1)
-        self._draw(self._program, view, grove)
+        self._draw(self._programs[4 if onto.samples > 1 else 1], view, grove)
 
     def count(self, view: View, grove: Grove = ONE_TREE) -> None:
         """Add the fragments that the cards ask for to the framebuffer in use."""

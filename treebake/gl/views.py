@@ -12,7 +12,7 @@ _HINT = "bake with fewer [views] texels"
 _FLAT_LAYERS = 9  # of all views together: what a vertex can tell its fragments
 
 # Pixels of a tree's bounding sphere from which on each layer of a view is looked into; below it is flat.
-RELIEF_HEIGHT = 56.0
+RELIEF_HEIGHT = 40.0
 
 
 class ViewCards:

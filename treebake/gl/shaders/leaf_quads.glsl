@@ -1,9 +1,11 @@
-// Draws leaves on cards of their own. Their outline is tested at each of a pixel's samples, as that of a modelled leaf is.
+// Draws leaves on cards of their own. Where a pixel has 4 samples their outline is tested at each, as that of a modelled
+// leaf is.
+#ifdef FOUR_SAMPLES  // a variant of its own: a software renderer runs both sides of every branch
 #extension GL_ARB_sample_shading : require  // for gl_SampleMask
+#endif
 #include "leaf_quads_corners.glsl"
 
 #ifdef FRAGMENT_STAGE
-uniform int samples;  // of a pixel: 1 or 4
 uniform float focus;  // pixels that a unit takes up at a depth of one
 uniform sampler2D leaf_color;
 uniform sampler2D leaf_normal;
@@ -19,7 +21,12 @@ layout(location = 0) out vec4 color;
 layout(location = 1) out vec4 depth;
 
 #include "lighting.glsl"
+#ifdef FOUR_SAMPLES
 #include "samples.glsl"
+const float SPACING = 0.5;  // of samples, pixels
+#else
+const float SPACING = 1.0;
+#endif
 
 const float MOST_LOD = 4.0;  // mips keep the images of the leaves apart so far
 
@@ -38,26 +45,26 @@ void main() {
     // A leaf's slant does not count: what is lost in detail would be gained in holes.
     float dense = max(texels.x * atlas.x, texels.y * atlas.y) * 0.5 * range / focus;  // texels to a pixel
     float most = clamp(log2(max(min(size.x, size.y), 1.0)) - 2.0, 0.0, MOST_LOD);  // the image is four texels wide there
-    float lod = clamp(log2(max(dense / (samples > 1 ? 2.0 : 1.0), 1e-6)), 0.0, most);
+    float lod = clamp(log2(max(dense * SPACING, 1e-6)), 0.0, most);
     float threshold = lod < 1.0 ? mix(0.5, thresholds.x, lod)
                     : lod < 2.0 ? mix(thresholds.x, thresholds.y, lod - 1.0)
                     : lod < 3.0 ? mix(thresholds.y, thresholds.z, lod - 2.0)
                                 : mix(thresholds.z, thresholds.w, lod - 3.0);
     vec2 inner = min(0.5 * exp2(ceil(lod)) / atlas, abs(image.zw) / 2.0);
-    gl_SampleMask[0] = ~0;
-    if (!twig && samples > 1) {
-        vec2 dx = dFdx(place);
-        vec2 dy = dFdy(place);
-        int passed = 0;
-        for (int i = 0; i < 4; ++i) {
-            vec2 at = in_image(place + SAMPLES[i].x * dx + SAMPLES[i].y * dy, inner);
-            if (textureLod(leaf_color, at, lod).a >= threshold) passed |= 1 << i;
-        }
-        gl_SampleMask[0] = passed;
-    }
     vec2 uv = in_image(place, inner);
     vec4 texel = textureLod(leaf_color, uv, lod);
-    if (!twig && samples == 1 && texel.a < threshold) discard;
+#ifdef FOUR_SAMPLES
+    vec2 dx = dFdx(place);
+    vec2 dy = dFdy(place);
+    int passed = 0;
+    for (int i = 0; i < 4; ++i) {
+        vec2 at = in_image(place + SAMPLES[i].x * dx + SAMPLES[i].y * dy, inner);
+        if (twig || textureLod(leaf_color, at, lod).a >= threshold) passed |= 1 << i;
+    }
+    gl_SampleMask[0] = passed;
+#else
+    if (!twig && texel.a < threshold) discard;
+#endif
     vec2 bump = textureLod(leaf_normal, uv, lod).rg * 2.0 - 1.0;
     bump.x *= sign(image.z);
     vec3 normal = side * (bump.x * axes[0].xyz - bump.y * axes[1].xyz

@@ -27,7 +27,7 @@ layout(location = 1) out vec4 depth;
 
 const float OBLIQUE = 1.0;  // tangent of the angle to a view beyond which it is shown as from there
 const int MOST_STEPS = 12;
-const float STEP = 1.5;     // pixels that a step through a picture may shift what is seen
+const float STEP = 2.0;     // pixels that a step through a picture may shift what is seen
 
 vec4 entry(int column, int row) {
     return texelFetch(pictures, ivec2(column, row), 0);

@@ -25,9 +25,9 @@ class ViewSettings:
     enabled: bool = True  # bake view impostors
     layout: str = "hemi"  # "ring": pictures around the tree; "hemi": from all over the upper half, on a hemi-octahedron
     count: int = 8  # pictures of a ring, 2 to 64
-    side: int = 12  # pictures along a side of the hemi-octahedron, 2 to 32
-    layers: int = 3  # of each picture, one behind the other: what a nearer one hides shows from aside, 1 to 8
-    texels: int = 128  # of the longest side of the largest tree, 16 to 1024; a picture askew may have some more
+    side: int = 8  # pictures along a side of the hemi-octahedron, 2 to 32
+    layers: int = 2  # of each picture, one behind the other: what a nearer one hides shows from aside, 1 to 8
+    texels: int = 64  # of the longest side of the largest tree, 16 to 1024; a picture askew may have some more
     atlas: int = 4096  # greatest side of the atlas in texels, a power of two, 64 to 16384
     gutter: int = 8  # texels kept free around each picture, a power of two: mips down to that size stay clean
     supersample: int = 4  # samples per texel each way, 1 to 4
