@@ -16,6 +16,7 @@ LAYERS = {
         "errors",
         "geometry",
         "flatten",
+        "planes",
         "packing",
         "coverage",
         "checks",

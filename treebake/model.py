@@ -209,6 +209,18 @@ class Clusters:
 
 
 @dataclass(frozen=True, eq=False)
+class Hierarchy:
+    """Ever fewer planes for the same leaves, nested: the leaves of a plane stay together ([GSSK05] 2.4).
+
+    levels: from the finest to the coarsest, one at least. parents: for each level but the last, (K,) int32, the plane
+    of the next level that takes each plane's leaves.
+    """
+
+    levels: tuple[Clusters, ...]
+    parents: tuple[Ints, ...]
+
+
+@dataclass(frozen=True, eq=False)
 class BillboardCloud:
     """Cards on the planes of the clusters, with one atlas.
 

@@ -22,6 +22,7 @@ from treebake.errors import SettingsError
 from treebake.meshes import LoadSettings
 from treebake.stages.billboards import BillboardSettings
 from treebake.stages.cluster import ClusterSettings
+from treebake.stages.hierarchy import HierarchySettings
 from treebake.stages.indirect import IndirectSettings
 from treebake.stages.slicings import SlicingSettings
 from treebake.stages.split import SplitSettings
@@ -55,6 +56,7 @@ class Settings:
     split: SplitSettings = field(default_factory=SplitSettings)
     twigs: TwigSettings = field(default_factory=TwigSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
+    hierarchy: HierarchySettings = field(default_factory=HierarchySettings)
     textures: BillboardSettings = field(default_factory=BillboardSettings)
     indirect_cluster: ClusterSettings = field(default_factory=_few_thick_planes)
     indirect: IndirectSettings = field(default_factory=IndirectSettings)
