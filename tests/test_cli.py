@@ -24,6 +24,7 @@ COMMANDS = {"grow", "cluster", "textures", "bake", "verify", "inspect"}
 COARSE = ["--set", "textures.atlas=128", "--set", "textures.supersample=1"]
 COARSE += [part for table in ("slicings", "views") for part in ("--set", f"{table}.texels=16")]
 COARSE += [part for table in ("slicings", "views") for part in ("--set", f"{table}.supersample=1")]
+COARSE += ["--set", "levels.enabled=false"]  # tests/test_levels.py bakes them
 NO_PICTURES = ["--set", "slicings.enabled=false", "--set", "views.enabled=false"]
 TEXTURES = [*COARSE, *NO_PICTURES]
 

@@ -41,7 +41,7 @@ LAYERS = {
     "asset": {"asset"},
     "verify": {"verify"},
     "grow": {"grow"},
-    "top": {"settings", "workspace", "pipeline", "summary", "terminal", "cli", "__main__"},
+    "top": {"settings", "levels", "workspace", "pipeline", "summary", "terminal", "cli", "__main__"},
 }
 MAY_IMPORT = {
     "ground": set(),

@@ -165,6 +165,12 @@ class Leaves:
         return len(self.centers)
 
     @property
+    def size(self) -> float:
+        """The mean root of a leaf's area: it tells the width of slender leaves better than their length does."""
+        real = ~self.is_twig
+        return float(np.sqrt(self.areas[real if real.any() else slice(None)]).mean())
+
+    @property
     def is_twig(self) -> NDArray[np.bool_]:
         """(N,) bool, whether the element is a twig piece."""
         return np.asarray(self.axes.any(axis=1))
@@ -195,7 +201,7 @@ class Clusters:
     """Leaves gathered into planes n.p + d = 0 ([GSSK05] 2.1).
 
     labels: (N,) int32, the plane of each leaf. normals: (K, 3) float64, unit. offsets: (K,) float64, the d of the
-    plane equation, oriented so that d >= 0. Every plane has at least one leaf.
+    plane equation, oriented so that d >= 0. Every plane has at least one leaf, but for what `planes.with_pieces` left.
     """
 
     labels: Ints
@@ -373,8 +379,25 @@ class Impostor:
 
 
 @dataclass(frozen=True, eq=False)
+class BakedLevel:
+    """A coarser level of the cloud and the trunk, either of which may be empty.
+
+    height: pixels of the tree's bounding sphere up to which it is for. trunk_iou: of the silhouettes of its trunk, with
+    what has moved into the cloud, and of the source's, at that height; None where the source has no trunk.
+    """
+
+    cloud: BillboardCloud
+    trunk: Mesh
+    height: int
+    trunk_iou: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class BakedTree:
-    """Everything that is published of one tree; what was not baked is None. `source` is the whole source's size."""
+    """Everything that is published of one tree; what was not baked is None. `source` is the whole source's size.
+
+    cloud and trunk are the finest level, levels the coarser ones.
+    """
 
     name: str
     cloud: BillboardCloud
@@ -384,3 +407,4 @@ class BakedTree:
     source_bounds: Floats  # (2, 3) float32
     slicings: SlicedFoliage | None = None
     views: Impostor | None = None
+    levels: tuple[BakedLevel, ...] = ()

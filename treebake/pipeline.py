@@ -2,6 +2,7 @@
 
     load -> split -> twigs -> cluster, twice                `cluster_tree`: a mesh file into the work folder
             -> views, indirect, slicings, billboards, trunk
+            -> hierarchy -> a cloud and a trunk for each level (`levels.py`)
             -> write_asset                                  `bake_textures`: the work folder into the published one
 
 The verifier stands apart: it reads published files only.
@@ -18,12 +19,14 @@ from treebake.asset import SHARED, Asset, read_asset, write_asset, write_shared_
 from treebake.errors import InputError, SettingsError, WorkspaceError
 from treebake.files import cache_folder
 from treebake.geometry import join
+from treebake.levels import bake_levels
 from treebake.meshes import read_mesh
 from treebake.model import (
     BakedTree,
     BillboardCloud,
     Clusters,
     Floats,
+    Hierarchy,
     Impostor,
     IndirectTextures,
     Mesh,
@@ -33,6 +36,7 @@ from treebake.model import (
 from treebake.settings import Settings
 from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
+from treebake.stages.hierarchy import hierarchy
 from treebake.stages.indirect import indirect
 from treebake.stages.slicings import slicings
 from treebake.stages.split import split
@@ -153,32 +157,37 @@ def distinct_names(works: Sequence[Workspace]) -> list[str]:
 def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> BakedTree:
     """Run what is left of the stages."""
     source, command = _source(work), _command(work)
-    tree = work.read("twigs", command)
+    parts, tree = work.read("split", command), work.read("twigs", command)
     layers: IndirectTextures | None = None
     sliced: SlicedFoliage | None = None
+    planes: Result[Hierarchy] | None = None
     if tree.value.leaves.count:
         leaves = tree.part("leaves")
         if settings.indirect.enabled:  # before the atlas, the slowest: they may find that something does not fit
-            clusters = work.read(_INDIRECT_CLUSTER, command, leaves)
-            layers = work.run(indirect, settings.indirect, tree, clusters).value
+            thick_planes = work.read(_INDIRECT_CLUSTER, command, leaves)
+            layers = work.run(indirect, settings.indirect, tree, thick_planes).value
         if settings.slicings.enabled:
-            parts = work.read("split", command)
             sparse = work.run(twigs, settings.slicing_twigs, parts, name="slicing_twigs")
-            solid = work.run(trunk, settings.slicing_trunk, sparse.part("trunk"), name="slicing_trunk").value
+            thick = work.run(trunk, settings.slicing_trunk, sparse.part("trunk"), name="slicing_trunk").value
             sliced = work.run(slicings, settings.slicings, sparse).value
-            sliced = replace(sliced, solid=join(solid, sliced.solid))
-        cloud = work.run(billboards, settings.textures, tree, work.read("cluster", command, leaves)).value
+            sliced = replace(sliced, solid=join(thick, sliced.solid))
+        clusters = work.read("cluster", command, leaves)
+        cloud = work.run(billboards, settings.textures, tree, clusters).value
+        if settings.levels.enabled:
+            planes = work.run(hierarchy, settings.hierarchy, leaves, clusters)
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
+    solid = work.run(trunk, settings.trunk, tree.part("trunk")).value
     return BakedTree(
         name=source.name,
         cloud=cloud,
         indirect=layers,
-        trunk=work.run(trunk, settings.trunk, tree.part("trunk")).value,
+        trunk=solid,
         slicings=sliced,
         views=impostor,
         source_triangles=source.triangles,
         source_bounds=source.bounds,
+        levels=bake_levels(work, settings, parts, tree, planes, solid) if settings.levels.enabled else (),
     )
 
 
@@ -204,9 +213,8 @@ def _source(work: Workspace) -> Source:
 
 def _spare(source: Path, folder: Path, name: str) -> None:
     """Refuse to publish over the source itself."""
-    for suffix in ("", "_LOD0", "_slicings", "_views"):
-        target = folder / f"{name}{suffix}.glb"
-        if target.exists() and source.exists() and target.samefile(source):
+    for target in folder.glob("*.glb") if source.exists() else ():
+        if (target.stem == name or target.stem.startswith(f"{name}_")) and target.samefile(source):
             raise WorkspaceError(f"{target} is the source and would be replaced; give another folder with -o")
 
 

@@ -14,6 +14,8 @@ E is linear in sixteen numbers per leaf, its *features* p p^T, p, 1, alpha Q: on
 the features' sums over a cluster give its best plane and that plane's summed error, whatever the number of leaves.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import sparse
 
@@ -81,7 +83,7 @@ def fit(sums: Doubles, compactness: float) -> tuple[Doubles, Doubles, Doubles]:
     scatter[:, _PAIRS[1], _PAIRS[0]] = upper
     normals = np.linalg.eigh(scatter)[1][:, :, 0]
     offsets = -np.einsum("ij,ij->i", normals, centroids)
-    return _coefficients(normals, offsets, centroids, compactness), normals, centroids
+    return coefficients(normals, offsets, centroids, compactness), normals, centroids
 
 
 def least_error(upper: Doubles) -> Doubles:
@@ -97,6 +99,17 @@ def least_error(upper: Doubles) -> Doubles:
     cube = 2 * spread**3
     angle = np.arccos(np.clip(det / np.where(cube > 0, cube, 1), -1, 1)) / 3
     return np.asarray(mean + 2 * spread * np.cos(angle + 2 * np.pi / 3))
+
+
+def coefficients(normals: Doubles, offsets: Doubles, centroids: Doubles, compactness: float) -> Doubles:
+    """The weights of the features in the error of each plane: (K, 16). offsets: (K,), centroids: (K, 3)."""
+    square = _TWICE * normals[:, _PAIRS[0]] * normals[:, _PAIRS[1]]
+    d = offsets[:, None]
+    weight = np.concatenate([square, 2 * d * normals, d * d, square], axis=1)
+    weight[:, :3] += compactness
+    weight[:, 6:9] -= 2 * compactness * centroids
+    weight[:, 9] += compactness * (centroids**2).sum(axis=1)
+    return weight
 
 
 def nearest(values: Doubles, coefficients: Doubles) -> tuple[Ints, Doubles]:
@@ -137,12 +150,17 @@ def oriented(labels: Ints, normals: Doubles, centroids: Doubles) -> Clusters:
     return Clusters(labels=labels, normals=normals * outward[:, None], offsets=offsets * outward)
 
 
-def _coefficients(normals: Doubles, offsets: Doubles, centroids: Doubles, compactness: float) -> Doubles:
-    """The weights of the sixteen features in the error of each plane: (K, 16)."""
-    square = _TWICE * normals[:, _PAIRS[0]] * normals[:, _PAIRS[1]]
-    d = offsets[:, None]
-    coefficients = np.concatenate([square, 2 * d * normals, d * d, square], axis=1)
-    coefficients[:, :3] += compactness
-    coefficients[:, 6:9] -= 2 * compactness * centroids
-    coefficients[:, 9] += compactness * (centroids**2).sum(axis=1)
-    return coefficients
+def with_pieces(
+    clusters: Clusters, leaves: Leaves, grown: Leaves, kept: int, angle_weight: float, compactness: float
+) -> Clusters:
+    """The planes of `leaves` for other leaves: the first `kept` of both are the same and stay where they are.
+
+    Each further one of `grown`, a piece of a twig, goes to the plane of least error. No plane moves, so one that had
+    nothing but pieces may be left without any. O(K (N - kept)).
+    """
+    origin = leaves.centers.mean(axis=0)
+    sums = summed(features(leaves, origin, angle_weight), clusters.labels, clusters.count, weights(leaves))
+    offsets = clusters.offsets + clusters.normals @ origin
+    planes = coefficients(clusters.normals, offsets, centered(sums)[1], compactness)
+    found, _ = nearest(features(grown, origin, angle_weight)[kept:], planes)
+    return replace(clusters, labels=np.concatenate([clusters.labels[:kept], found]))

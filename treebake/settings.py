@@ -19,6 +19,7 @@ from typing import Any, get_type_hints
 import msgspec
 
 from treebake.errors import SettingsError
+from treebake.levels import LevelSettings
 from treebake.meshes import LoadSettings
 from treebake.stages.billboards import BillboardSettings
 from treebake.stages.cluster import ClusterSettings
@@ -61,6 +62,7 @@ class Settings:
     indirect_cluster: ClusterSettings = field(default_factory=_few_thick_planes)
     indirect: IndirectSettings = field(default_factory=IndirectSettings)
     trunk: TrunkSettings = field(default_factory=TrunkSettings)
+    levels: LevelSettings = field(default_factory=LevelSettings)
     slicing_twigs: TwigSettings = field(default_factory=_most_branches_sliced)
     slicing_trunk: TrunkSettings = field(default_factory=_thick_branches)
     slicings: SlicingSettings = field(default_factory=SlicingSettings)
