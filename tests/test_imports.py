@@ -17,6 +17,7 @@ LAYERS = {
         "geometry",
         "flatten",
         "planes",
+        "morph",
         "packing",
         "coverage",
         "checks",

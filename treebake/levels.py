@@ -19,6 +19,7 @@ from treebake.checks import check
 from treebake.errors import SettingsError
 from treebake.geometry import join
 from treebake.model import BakedLevel, BillboardCloud, Clusters, Hierarchy, Mesh, Tree
+from treebake.morph import morph_to_next
 from treebake.planes import with_pieces
 from treebake.stages.billboards import BillboardSettings, billboards
 from treebake.stages.trunk import TrunkSettings, trunk
@@ -86,9 +87,10 @@ def bake_levels(
         sparse = work.run(twigs, plan.twigs, parts, name=f"twigs_{number}")
         left = work.run(trunk, plan.trunk, sparse.part("trunk"), name=f"trunk_{number}").value
         cloud = BillboardCloud(split.foliage, np.zeros(0, np.int32))
-        if clusters:
+        if clusters and planes:
             placed = _placed(settings, clusters, tree.value, sparse.value, split.leaves.count)
             cloud = work.run(billboards, plan.textures, sparse, Result.of(placed), name=f"billboards_{number}").value
+            cloud = morph_to_next(cloud, planes.value, number)
         elif left.triangles >= (levels[-1].trunk if levels else solid).triangles:
             continue
         leaves = sparse.value.leaves

@@ -7,7 +7,7 @@ coordinates follow glTF: (0, 0) is the centre-less corner of the *top* left texe
 Arrays are never changed in place once they sit in one of these types.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 
@@ -64,12 +64,28 @@ class Material:
 
 
 @dataclass(frozen=True, eq=False)
+class Morph:
+    """Where a mesh's vertices are once it is wholly morphed, in the mesh's frame.
+
+    positions: (V, 3) float32. normals: (V, 3) float32, unit.
+    """
+
+    positions: Floats
+    normals: Floats
+
+    def __getitem__(self, vertices: Ints) -> "Morph":
+        """Some of the vertices: (U,) int32."""
+        return Morph(self.positions[vertices], self.normals[vertices])
+
+
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """Triangles with materials, all in one frame (node transforms are already applied).
 
     positions: (V, 3) float32. normals: (V, 3) float32, unit. uvs: (V, 2) float32. faces: (F, 3) int32 into the
     vertices. face_material: (F,) int32 into `materials`. face_node: (F,) int32 into `nodes` (the names of the file's
-    nodes). A mesh may be empty (no faces); a vertex may be unused.
+    nodes). morph: what it can be morphed into, by linear interpolation. A mesh may be empty (no faces); a vertex may be
+    unused.
     """
 
     positions: Floats
@@ -80,6 +96,7 @@ class Mesh:
     face_node: Ints
     materials: tuple[Material, ...]
     nodes: tuple[str, ...]
+    morph: Morph | None = None
 
     @property
     def triangles(self) -> int:
@@ -121,7 +138,18 @@ class Mesh:
             face_node=self.face_node[mask],
             materials=self.materials,
             nodes=self.nodes,
+            morph=self.morph and self.morph[used],
         )
+
+    def morphed(self, weight: float) -> "Mesh":
+        """The mesh as drawn at a weight of its morph, 0 to 1: positions blended, and normals too, made unit."""
+        if self.morph is None:
+            return self
+        positions = self.positions + np.float32(weight) * (self.morph.positions - self.positions)
+        normals = self.normals + np.float32(weight) * (self.morph.normals - self.normals)
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = (normals / np.where(lengths > 0, lengths, 1)).astype(np.float32)
+        return replace(self, positions=positions, normals=normals, morph=None)
 
 
 EMPTY_MESH = Mesh(

@@ -33,6 +33,7 @@ from treebake.model import (
     SlicedFoliage,
     Tree,
 )
+from treebake.morph import morph_to_next
 from treebake.settings import Settings
 from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
@@ -96,7 +97,7 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
     """
     _spare(path, work.folder, path.stem)
     with work.announce("load"):
-        mesh = read_mesh(path, settings.load)
+        mesh = replace(read_mesh(path, settings.load), morph=None)  # a level may be a source too
     parts = work.run(split, settings.split, Result.of(mesh))
     tree = work.run(twigs, settings.twigs, parts)
     clusters = indirect_clusters = None
@@ -175,6 +176,7 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
         cloud = work.run(billboards, settings.textures, tree, clusters).value
         if settings.levels.enabled:
             planes = work.run(hierarchy, settings.hierarchy, leaves, clusters)
+            cloud = morph_to_next(cloud, planes.value, 0)
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
     solid = work.run(trunk, settings.trunk, tree.part("trunk")).value
