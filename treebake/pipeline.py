@@ -48,9 +48,12 @@ from treebake.verify import (
     JUDGED,
     SCALE,
     CloseUp,
+    Morphing,
     Report,
     VerifySettings,
+    cameras,
     close_ups,
+    morphings,
     representations,
     verify,
     write_report,
@@ -267,8 +270,18 @@ def verify_asset(
             close=close,
             progress=advance,
         )
+    if "cloud" in found and settings.verify.morph and not settings.verify.quick:
+        found["cloud"] = replace(found["cloud"], morphs=_morphings(mesh, read_asset(candidate), settings.verify))
     write_report(found, folder)
     return found, folder
+
+
+def _morphings(source: Mesh, asset: Asset, settings: VerifySettings) -> tuple[Morphing, ...]:
+    """How each level goes over into the next, in a third of the views."""
+    views = cameras(source, settings.elevations, settings.azimuths)[SCALE]
+    heights = [level.min_height for level in asset.manifest.levels]
+    levels = list(zip(map(read_mesh, asset.level_paths), heights, strict=True))
+    return morphings(source, levels, views, settings.morph, cache_folder())
 
 
 def _close_ups(tree: Tree, settings: VerifySettings) -> tuple[CloseUp, ...]:

@@ -2,6 +2,7 @@
 
 from treebake.verify.cameras import CloseUp, cameras, close_ups
 from treebake.verify.figures import Figures
+from treebake.verify.morph import Morphing, morphings
 from treebake.verify.protocol import JUDGED, Level, Report, Sample, VerifySettings, verify
 from treebake.verify.reference import SCALE
 from treebake.verify.report import as_dict, format_table, write_report
@@ -15,6 +16,7 @@ __all__ = [
     "CloseUp",
     "Figures",
     "Level",
+    "Morphing",
     "Report",
     "Sample",
     "VerifySettings",
@@ -23,6 +25,7 @@ __all__ = [
     "close_ups",
     "failures",
     "format_table",
+    "morphings",
     "representations",
     "silhouette_iou",
     "verify",
