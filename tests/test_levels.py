@@ -79,6 +79,7 @@ def test_each_level_has_its_planes_and_a_smaller_trunk(tmp_path: Path) -> None:
     sizes = [level.cloud.mesh.materials[0].color_map.pixels.shape[:2] for level in (near, far)]  # type: ignore[union-attr]
     assert np.prod(sizes[1]) < np.prod(sizes[0])
     assert all(level.trunk_iou is not None and 0.5 < level.trunk_iou <= 1 for level in (near, far))
+    assert [level.silhouette_kept for level in (near, far)] == pytest.approx([1, 1], abs=0.1)
 
 
 def test_branches_thinner_than_a_pixel_are_on_cards(tmp_path: Path) -> None:

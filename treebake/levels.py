@@ -22,7 +22,7 @@ from treebake.model import BakedLevel, BillboardCloud, Clusters, Hierarchy, Mesh
 from treebake.morph import morph_to_next
 from treebake.planes import with_pieces
 from treebake.stages.billboards import BillboardSettings, billboards
-from treebake.stages.trunk import TrunkSettings, trunk
+from treebake.stages.trunk import TrunkSettings, compare, trunk
 from treebake.stages.twigs import TwigSettings, twigs
 from treebake.verify import SCALE, cameras, silhouette_iou
 from treebake.workspace import Result, Workspace
@@ -91,12 +91,13 @@ def bake_levels(
             placed = _placed(settings, clusters, tree.value, sparse.value, split.leaves.count)
             cloud = work.run(billboards, plan.textures, sparse, Result.of(placed), name=f"billboards_{number}").value
             cloud = morph_to_next(cloud, planes.value, number)
-        elif left.triangles >= (levels[-1].trunk if levels else solid).triangles:
+        elif not 0 < left.triangles < (levels[-1].trunk if levels else solid).triangles:
             continue
         leaves = sparse.value.leaves
         pieces = sparse.value.foliage.select(leaves.is_twig[leaves.face_leaf])
         kept = silhouette_iou(split.trunk, join(left, pieces), views, plan.height) if split.trunk.triangles else None
-        levels.append(BakedLevel(cloud, left, plan.height, kept))
+        area = compare(split.trunk, left, pieces).silhouette_kept
+        levels.append(BakedLevel(cloud, left, plan.height, kept, area))
     return tuple(levels)
 
 

@@ -412,12 +412,14 @@ class BakedLevel:
 
     height: pixels of the tree's bounding sphere up to which it is for. trunk_iou: of the silhouettes of its trunk, with
     what has moved into the cloud, and of the source's, at that height; None where the source has no trunk.
+    silhouette_kept: area of the one over that of the other, every branch by itself.
     """
 
     cloud: BillboardCloud
     trunk: Mesh
     height: int
     trunk_iou: float | None = None
+    silhouette_kept: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,10 +87,11 @@ class Clustered:
 
 @dataclass(frozen=True)
 class Baked:
-    """What `bake_textures` published, and how much of the trunk is left."""
+    """What `bake_textures` published, and how much of the trunk is left, in the finest level and in the others."""
 
     folder: Path
     trunk: TrunkReport
+    silhouettes_kept: tuple[float, ...]
 
 
 def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
@@ -203,7 +204,8 @@ def _publish(work: Workspace, baked: BakedTree, folder: Path, shared: Path | Non
     command = _command(work)
     tree: Tree = work.read("twigs", command).value
     pieces = tree.foliage.select(tree.leaves.is_twig[tree.leaves.face_leaf])
-    return Baked(folder, compare(work.read("split", command).value.trunk, baked.trunk, pieces))
+    finest = compare(work.read("split", command).value.trunk, baked.trunk, pieces)
+    return Baked(folder, finest, tuple(level.silhouette_kept for level in baked.levels))
 
 
 def _command(work: Workspace) -> str:
