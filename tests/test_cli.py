@@ -17,6 +17,7 @@ import pytest
 from treebake import cli, pipeline
 from treebake.glb import write_glb
 from treebake.images import encode_png
+from treebake.meshes import read_mesh
 from treebake.model import Material, Mesh
 from treebake.verify.cameras import CLOSE_UP
 
@@ -24,6 +25,7 @@ COMMANDS = {"grow", "cluster", "textures", "bake", "verify", "forest", "inspect"
 COARSE = ["--set", "textures.atlas=128", "--set", "textures.supersample=1"]
 COARSE += [part for table in ("slicings", "views") for part in ("--set", f"{table}.texels=16")]
 COARSE += [part for table in ("slicings", "views") for part in ("--set", f"{table}.supersample=1")]
+COARSE += ["--set", "levels.enabled=false"]  # tests/test_levels.py bakes them
 NO_PICTURES = ["--set", "slicings.enabled=false", "--set", "views.enabled=false"]
 TEXTURES = [*COARSE, *NO_PICTURES]
 
@@ -597,3 +599,37 @@ def test_verify_of_what_is_not_there(tmp_path: Path, tree: Path, treebake: Calla
         2,
         [f"treebake: error: {tmp_path / 'nowhere'} does not exist; check the path"],
     )
+
+
+# ---- levels --------------------------------------------------------------------------------------------------------
+
+LEVELS = [
+    part
+    for assignment in (
+        "levels.enabled=true",
+        "hierarchy.billboards=[8, 2]",
+        "levels.heights=[64, 32]",
+        "levels.trunk_triangles=[8, 4]",
+    )
+    for part in ("--set", assignment)
+]
+
+
+def test_levels_are_baked_verified_and_baked_again(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    result = treebake("bake", tree, "-o", tmp_path, *TEXTURES, *LEVELS, "--json")
+    assert result.code == 0, result.err
+    levels = json.loads(result.out)["levels"]
+    assert [(level["billboards"], level["min_height"]) for level in levels] == [(40, 64), (8, 32), (2, 0)]
+    again = skipped(treebake("bake", tree, "-o", tmp_path, *TEXTURES, *LEVELS))
+    assert again[-6:] == [f"{stage}_{number}" for number in (1, 2) for stage in ("twigs", "trunk", "billboards")]
+    views = ("--set", "verify.heights=[32]", "--set", "verify.azimuths=1", "--set", 'verify.representations=["cloud"]')
+    judged = treebake("verify", tmp_path / "tree", "--source", tree, *views, "--set", "verify.morph=2", "--json")
+    assert judged.code == 0, judged.err
+    morphs = json.loads(judged.out)["representations"]["cloud"]["morphs"]
+    assert [(morph["level"], morph["height"]) for morph in morphs] == [(0, 64), (1, 32)]
+    # A level is a source like any other, its morph left out, even where its cards are called the trunk.
+    names = ("--set", 'split.trunk_materials=["foliage"]', "--set", 'split.foliage_materials=["bark"]')
+    assert treebake("bake", tmp_path / "tree/tree_LOD1.glb", "-o", tmp_path / "next", *TEXTURES, *names).code == 0
+    assert read_mesh(tmp_path / "next/tree_LOD1/tree_LOD1_LOD0.glb").morph is None

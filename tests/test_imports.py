@@ -16,6 +16,8 @@ LAYERS = {
         "errors",
         "geometry",
         "flatten",
+        "planes",
+        "morph",
         "packing",
         "coverage",
         "checks",
@@ -40,7 +42,7 @@ LAYERS = {
     "asset": {"asset"},
     "verify": {"verify"},
     "grow": {"grow"},
-    "top": {"settings", "workspace", "pipeline", "summary", "terminal", "cli", "__main__"},
+    "top": {"settings", "levels", "workspace", "pipeline", "summary", "terminal", "cli", "__main__"},
 }
 MAY_IMPORT = {
     "ground": set(),

@@ -18,6 +18,7 @@ QUICK = [
     item
     for assignment in (
         "indirect.enabled=false",
+        "levels.enabled=false",
         "slicings.enabled=false",
         "textures.atlas=64",
         "textures.supersample=1",

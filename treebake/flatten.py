@@ -67,7 +67,11 @@ def turns_into(planes: Doubles, leaves: Leaves) -> Doubles:
     twig = leaves.is_twig[:, None]
     start = np.where(twig, leaves.axes, side[:, None] * leaves.normals)
     end = np.where(twig, fallen, planes)
-    # Rodrigues' rotation from start to end; never a half turn, since start.end >= 0.
+    return least_turns(start, end)
+
+
+def least_turns(start: Doubles, end: Doubles) -> Doubles:
+    """Rodrigues' rotations from unit vectors to others (N, 3), at most a quarter turn away: (N, 3, 3)."""
     axis = np.cross(start, end)
     cross = np.zeros((len(axis), 3, 3))
     cross[:, [2, 0, 1], [1, 2, 0]] = axis

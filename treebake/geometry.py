@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from treebake.model import Doubles, Floats, Ints, Mesh
+from treebake.model import Doubles, Floats, Ints, Mesh, Morph
 
 
 def weld(positions: Floats) -> Ints:
@@ -161,7 +161,7 @@ def turn_to(elevation: float, azimuth: float) -> Doubles:
 
 
 def join(first: Mesh, second: Mesh) -> Mesh:
-    """Both meshes in one; materials and nodes that they share stay shared."""
+    """Both meshes in one; materials and nodes that they share stay shared. Where only one can morph the other stays."""
     materials = first.materials + tuple(m for m in second.materials if m not in first.materials)
     nodes = first.nodes + tuple(n for n in second.nodes if n not in first.nodes)
     material = np.array([materials.index(m) for m in second.materials], np.int32)
@@ -175,4 +175,12 @@ def join(first: Mesh, second: Mesh) -> Mesh:
         face_node=np.concatenate([first.face_node, node[second.face_node]]),
         materials=materials,
         nodes=nodes,
+        morph=_joined_morph(first, second),
     )
+
+
+def _joined_morph(first: Mesh, second: Mesh) -> Morph | None:
+    if first.morph is None and second.morph is None:
+        return None
+    a, b = (mesh.morph or Morph(mesh.positions, mesh.normals) for mesh in (first, second))
+    return Morph(np.concatenate([a.positions, b.positions]), np.concatenate([a.normals, b.normals]))

@@ -13,7 +13,7 @@ from treebake import __version__
 from treebake.files import atomic
 from treebake.geometry import reject
 from treebake.images import encode_texture
-from treebake.model import AlphaMode, Floats, Ints, Material, Mesh, Texture
+from treebake.model import AlphaMode, Floats, Ints, Material, Mesh, Morph, Texture
 
 _VERTICES, _INDICES = 34962, 34963  # bufferView targets
 _UINT16, _UINT32, _FLOAT = 5123, 5125, 5126  # component types
@@ -21,6 +21,8 @@ _TABLES = {"u1": 5121, "u2": _UINT16, "u4": _UINT32, "f4": _FLOAT}
 _SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}  # linear, trilinear, repeat
 _UINT16_VERTICES = 65535  # index 65535 itself is reserved for primitive restart
 _LOD, _INSTANCING = "MSFT_lod", "EXT_mesh_gpu_instancing"
+
+MORPH = "parent"  # the name of a mesh's morph target
 
 Json = dict[str, Any]
 
@@ -66,10 +68,10 @@ def write_glb(path: Path, nodes: Sequence[tuple[str, Mesh] | Node], extras: Json
 def encode_glb(nodes: Sequence[tuple[str, Mesh] | Node], extras: Json | None = None) -> bytes:
     """Encode (name, mesh) pairs and nodes as one GLB: a glTF node and mesh each, one primitive per used material.
 
-    A mesh without faces is left out, and so is a node without instances. Meshes, materials, textures and arrays are
-    written once each, shared by object identity, and equal images once. extras: data for the root's `extras`; in it an
-    array (N, 1 to 4) of uint8, uint16, uint32 or float32, N > 0, becomes the index of an accessor that holds it, and a
-    Texture the index of a glTF texture. O(vertices + faces) per primitive.
+    A mesh without faces is left out, and so is a node without instances; a morph becomes a target, whose weight is 0.
+    Meshes, materials, textures and arrays are written once each, shared by object identity, and equal images once.
+    extras: data for the root's `extras`; in it an array (N, 1 to 4) of uint8, uint16, uint32 or float32, N > 0, becomes
+    the index of an accessor that holds it, and a Texture the index of a glTF texture. O(vertices + faces) per primitive.
     """
     writer = _Writer()
     for node in nodes:
@@ -128,8 +130,10 @@ class _Writer:
     def mesh(self, name: str, mesh: Mesh) -> int:
         if id(mesh) not in self.meshes:
             used = np.unique(mesh.face_material).tolist()
-            primitives = [self.primitive(mesh, index) for index in used]
-            self.meshes[id(mesh)] = self.append("meshes", {"name": name, "primitives": primitives})
+            entry: Json = {"name": name, "primitives": [self.primitive(mesh, index) for index in used]}
+            if mesh.morph:
+                entry |= {"weights": [0], "extras": {"targetNames": [MORPH]}}
+            self.meshes[id(mesh)] = self.append("meshes", entry)
         return self.meshes[id(mesh)]
 
     def primitive(self, mesh: Mesh, index: int) -> Json:
@@ -144,11 +148,26 @@ class _Writer:
         if material.normal_map:  # viewers that must make up the tangents do not agree on them
             tangents = _tangents(mesh.positions[vertices], mesh.normals[vertices], mesh.uvs[vertices], faces)
             attributes["TANGENT"] = self.vertex_accessor(tangents)
-        return {
+        primitive: Json = {
             "attributes": attributes,
             "indices": self.index_accessor(faces, len(vertices)),
             "material": self.material(material),
         }
+        if mesh.morph:
+            primitive["targets"] = [self.target(mesh, mesh.morph, vertices, faces, "TANGENT" in attributes)]
+        return primitive
+
+    def target(self, mesh: Mesh, morph: Morph, vertices: Ints, faces: Ints, with_tangents: bool) -> Json:
+        """What a morph adds to the attributes."""
+        start, end = Morph(mesh.positions, mesh.normals)[vertices], morph[vertices]
+        target = {
+            "POSITION": self.vertex_accessor(end.positions - start.positions, bounds=True),
+            "NORMAL": self.vertex_accessor(end.normals - start.normals),
+        }
+        if with_tangents:
+            one, other = (_tangents(at.positions, at.normals, mesh.uvs[vertices], faces) for at in (start, end))
+            target["TANGENT"] = self.vertex_accessor((other - one)[:, :3])
+        return target
 
     def vertex_accessor(self, values: Floats, bounds: bool = False) -> int:
         accessor: Json = {

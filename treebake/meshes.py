@@ -14,7 +14,7 @@ from treebake.formats.part import Part
 from treebake.formats.ply import read_ply
 from treebake.geometry import crease_normals
 from treebake.images import read_image
-from treebake.model import AlphaMode, Floats, Ints, Material, Mesh, Texture
+from treebake.model import AlphaMode, Floats, Ints, Material, Mesh, Morph, Texture
 
 LOG = logging.getLogger("treebake")
 
@@ -98,7 +98,16 @@ def _join(path: Path, parts: Sequence[Part], up: str) -> Mesh:
         face_node=np.concatenate([np.zeros(0), *face_node]).astype(np.int32),
         materials=tuple(material for _, material in materials.values()),
         nodes=tuple(nodes),
+        morph=_join_morphs(parts, up) if any(part.morph for part in parts) else None,
     )
+
+
+def _join_morphs(parts: Sequence[Part], up: str) -> Morph:
+    """Of all parts, those without one staying as they are."""
+    still = [Morph(part.positions, _or(part.normals, part, 3, np.nan)) for part in parts]
+    found = [part.morph or base for part, base in zip(parts, still, strict=True)]
+    positions, normals = (_stack([getattr(morph, name) for morph in found], 3) for name in ("positions", "normals"))
+    return Morph(_upright(positions, up), _upright(normals, up))
 
 
 def _stack(arrays: Sequence[Floats | Ints], width: int) -> Floats:
@@ -154,6 +163,7 @@ def _complete_normals(mesh: Mesh) -> Mesh:
         normals=np.concatenate([np.where(usable[:, None], normals, _UP), computed]),
         uvs=np.concatenate([mesh.uvs, mesh.uvs[source]]),
         faces=faces,
+        morph=None,  # our own files, which have some, lack no normals
     ).select(np.ones(len(faces), bool))
 
 

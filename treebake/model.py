@@ -7,7 +7,7 @@ coordinates follow glTF: (0, 0) is the centre-less corner of the *top* left texe
 Arrays are never changed in place once they sit in one of these types.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 
@@ -64,12 +64,28 @@ class Material:
 
 
 @dataclass(frozen=True, eq=False)
+class Morph:
+    """Where a mesh's vertices are once it is wholly morphed, in the mesh's frame.
+
+    positions: (V, 3) float32. normals: (V, 3) float32, unit.
+    """
+
+    positions: Floats
+    normals: Floats
+
+    def __getitem__(self, vertices: Ints) -> "Morph":
+        """Some of the vertices: (U,) int32."""
+        return Morph(self.positions[vertices], self.normals[vertices])
+
+
+@dataclass(frozen=True, eq=False)
 class Mesh:
     """Triangles with materials, all in one frame (node transforms are already applied).
 
     positions: (V, 3) float32. normals: (V, 3) float32, unit. uvs: (V, 2) float32. faces: (F, 3) int32 into the
     vertices. face_material: (F,) int32 into `materials`. face_node: (F,) int32 into `nodes` (the names of the file's
-    nodes). A mesh may be empty (no faces); a vertex may be unused.
+    nodes). morph: what it can be morphed into, by linear interpolation. A mesh may be empty (no faces); a vertex may be
+    unused.
     """
 
     positions: Floats
@@ -80,6 +96,7 @@ class Mesh:
     face_node: Ints
     materials: tuple[Material, ...]
     nodes: tuple[str, ...]
+    morph: Morph | None = None
 
     @property
     def triangles(self) -> int:
@@ -121,7 +138,18 @@ class Mesh:
             face_node=self.face_node[mask],
             materials=self.materials,
             nodes=self.nodes,
+            morph=self.morph and self.morph[used],
         )
+
+    def morphed(self, weight: float) -> "Mesh":
+        """The mesh as drawn at a weight of its morph, 0 to 1: positions blended, and normals too, made unit."""
+        if self.morph is None:
+            return self
+        positions = self.positions + np.float32(weight) * (self.morph.positions - self.positions)
+        normals = self.normals + np.float32(weight) * (self.morph.normals - self.normals)
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = (normals / np.where(lengths > 0, lengths, 1)).astype(np.float32)
+        return replace(self, positions=positions, normals=normals, morph=None)
 
 
 EMPTY_MESH = Mesh(
@@ -165,6 +193,12 @@ class Leaves:
         return len(self.centers)
 
     @property
+    def size(self) -> float:
+        """The mean root of a leaf's area: it tells the width of slender leaves better than their length does."""
+        real = ~self.is_twig
+        return float(np.sqrt(self.areas[real if real.any() else slice(None)]).mean())
+
+    @property
     def is_twig(self) -> NDArray[np.bool_]:
         """(N,) bool, whether the element is a twig piece."""
         return np.asarray(self.axes.any(axis=1))
@@ -195,7 +229,7 @@ class Clusters:
     """Leaves gathered into planes n.p + d = 0 ([GSSK05] 2.1).
 
     labels: (N,) int32, the plane of each leaf. normals: (K, 3) float64, unit. offsets: (K,) float64, the d of the
-    plane equation, oriented so that d >= 0. Every plane has at least one leaf.
+    plane equation, oriented so that d >= 0. Every plane has at least one leaf, but for what `planes.with_pieces` left.
     """
 
     labels: Ints
@@ -206,6 +240,18 @@ class Clusters:
     def count(self) -> int:
         """The number of planes."""
         return len(self.offsets)
+
+
+@dataclass(frozen=True, eq=False)
+class Hierarchy:
+    """Ever fewer planes for the same leaves, nested: the leaves of a plane stay together ([GSSK05] 2.4).
+
+    levels: from the finest to the coarsest, one at least. parents: for each level but the last, (K,) int32, the plane
+    of the next level that takes each plane's leaves.
+    """
+
+    levels: tuple[Clusters, ...]
+    parents: tuple[Ints, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -380,8 +426,27 @@ class Impostor:
 
 
 @dataclass(frozen=True, eq=False)
+class BakedLevel:
+    """A coarser level of the cloud and the trunk, either of which may be empty.
+
+    height: pixels of the tree's bounding sphere up to which it is for. trunk_iou: of the silhouettes of its trunk, with
+    what has moved into the cloud, and of the source's, at that height; None where the source has no trunk.
+    silhouette_kept: area of the one over that of the other, every branch by itself.
+    """
+
+    cloud: BillboardCloud
+    trunk: Mesh
+    height: int
+    trunk_iou: float | None = None
+    silhouette_kept: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
 class BakedTree:
-    """Everything that is published of one tree; what was not baked is None. `source` is the whole source's size."""
+    """Everything that is published of one tree; what was not baked is None. `source` is the whole source's size.
+
+    cloud and trunk are the finest level, levels the coarser ones.
+    """
 
     name: str
     cloud: BillboardCloud
@@ -391,6 +456,7 @@ class BakedTree:
     source_bounds: Floats  # (2, 3) float32
     slicings: SlicedFoliage | None = None
     views: Impostor | None = None
+    levels: tuple[BakedLevel, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
     load -> split -> twigs -> cluster, twice                `cluster_tree`: a mesh file into the work folder
             -> views, indirect, slicings, billboards, trunk
+            -> hierarchy -> a cloud and a trunk for each level (`levels.py`)
             -> write_asset                                  `bake_textures`: the work folder into the published one
     read_asset -> scatter -> write_forest                   `plant_forest`: published folders into one file
 
@@ -27,6 +28,7 @@ from treebake.asset import (
 from treebake.errors import InputError, SettingsError, WorkspaceError
 from treebake.files import cache_folder
 from treebake.geometry import join
+from treebake.levels import bake_levels
 from treebake.meshes import read_mesh
 from treebake.model import (
     BakedTree,
@@ -34,15 +36,18 @@ from treebake.model import (
     Clusters,
     Floats,
     Forest,
+    Hierarchy,
     Impostor,
     IndirectTextures,
     Mesh,
     SlicedFoliage,
     Tree,
 )
+from treebake.morph import morph_to_next
 from treebake.settings import Settings
 from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
+from treebake.stages.hierarchy import hierarchy
 from treebake.stages.indirect import indirect
 from treebake.stages.scatter import scatter
 from treebake.stages.slicings import slicings
@@ -54,9 +59,12 @@ from treebake.verify import (
     JUDGED,
     SCALE,
     CloseUp,
+    Morphing,
     Report,
     VerifySettings,
+    cameras,
     close_ups,
+    morphings,
     representations,
     verify,
     write_report,
@@ -90,10 +98,11 @@ class Clustered:
 
 @dataclass(frozen=True)
 class Baked:
-    """What `bake_textures` published, and how much of the trunk is left."""
+    """What `bake_textures` published, and how much of the trunk is left, in the finest level and in the others."""
 
     folder: Path
     trunk: TrunkReport
+    silhouettes_kept: tuple[float, ...]
 
 
 def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
@@ -103,7 +112,7 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
     """
     _spare(path, work.folder, path.stem)
     with work.announce("load"):
-        mesh = read_mesh(path, settings.load)
+        mesh = replace(read_mesh(path, settings.load), morph=None)  # a level may be a source too
     parts = work.run(split, settings.split, Result.of(mesh))
     tree = work.run(twigs, settings.twigs, parts)
     clusters = indirect_clusters = None
@@ -164,32 +173,38 @@ def distinct_names(works: Sequence[Workspace]) -> list[str]:
 def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> BakedTree:
     """Run what is left of the stages."""
     source, command = _source(work), _command(work)
-    tree = work.read("twigs", command)
+    parts, tree = work.read("split", command), work.read("twigs", command)
     layers: IndirectTextures | None = None
     sliced: SlicedFoliage | None = None
+    planes: Result[Hierarchy] | None = None
     if tree.value.leaves.count:
         leaves = tree.part("leaves")
         if settings.indirect.enabled:  # before the atlas, the slowest: they may find that something does not fit
-            clusters = work.read(_INDIRECT_CLUSTER, command, leaves)
-            layers = work.run(indirect, settings.indirect, tree, clusters).value
+            thick_planes = work.read(_INDIRECT_CLUSTER, command, leaves)
+            layers = work.run(indirect, settings.indirect, tree, thick_planes).value
         if settings.slicings.enabled:
-            parts = work.read("split", command)
             sparse = work.run(twigs, settings.slicing_twigs, parts, name="slicing_twigs")
-            solid = work.run(trunk, settings.slicing_trunk, sparse.part("trunk"), name="slicing_trunk").value
+            thick = work.run(trunk, settings.slicing_trunk, sparse.part("trunk"), name="slicing_trunk").value
             sliced = work.run(slicings, settings.slicings, sparse).value
-            sliced = replace(sliced, solid=join(solid, sliced.solid))
-        cloud = work.run(billboards, settings.textures, tree, work.read("cluster", command, leaves)).value
+            sliced = replace(sliced, solid=join(thick, sliced.solid))
+        clusters = work.read("cluster", command, leaves)
+        cloud = work.run(billboards, settings.textures, tree, clusters).value
+        if settings.levels.enabled:
+            planes = work.run(hierarchy, settings.hierarchy, leaves, clusters)
+            cloud = morph_to_next(cloud, planes.value, 0)
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
+    solid = work.run(trunk, settings.trunk, tree.part("trunk")).value
     return BakedTree(
         name=source.name,
         cloud=cloud,
         indirect=layers,
-        trunk=work.run(trunk, settings.trunk, tree.part("trunk")).value,
+        trunk=solid,
         slicings=sliced,
         views=impostor,
         source_triangles=source.triangles,
         source_bounds=source.bounds,
+        levels=bake_levels(work, settings, parts, tree, planes, solid) if settings.levels.enabled else (),
     )
 
 
@@ -200,7 +215,8 @@ def _publish(work: Workspace, baked: BakedTree, folder: Path, shared: Path | Non
     command = _command(work)
     tree: Tree = work.read("twigs", command).value
     pieces = tree.foliage.select(tree.leaves.is_twig[tree.leaves.face_leaf])
-    return Baked(folder, compare(work.read("split", command).value.trunk, baked.trunk, pieces))
+    finest = compare(work.read("split", command).value.trunk, baked.trunk, pieces)
+    return Baked(folder, finest, tuple(level.silhouette_kept for level in baked.levels))
 
 
 def _command(work: Workspace) -> str:
@@ -215,9 +231,8 @@ def _source(work: Workspace) -> Source:
 
 def _spare(source: Path, folder: Path, name: str) -> None:
     """Refuse to publish over the source itself."""
-    for suffix in ("", "_LOD0", "_slicings", "_views"):
-        target = folder / f"{name}{suffix}.glb"
-        if target.exists() and source.exists() and target.samefile(source):
+    for target in folder.glob("*.glb") if source.exists() else ():
+        if (target.stem == name or target.stem.startswith(f"{name}_")) and target.samefile(source):
             raise WorkspaceError(f"{target} is the source and would be replaced; give another folder with -o")
 
 
@@ -283,8 +298,18 @@ def verify_asset(
             close=close,
             progress=advance,
         )
+    if "cloud" in found and settings.verify.morph and not settings.verify.quick:
+        found["cloud"] = replace(found["cloud"], morphs=_morphings(mesh, read_asset(candidate), settings.verify))
     write_report(found, folder)
     return found, folder
+
+
+def _morphings(source: Mesh, asset: Asset, settings: VerifySettings) -> tuple[Morphing, ...]:
+    """How each level goes over into the next, in a third of the views."""
+    views = cameras(source, settings.elevations, settings.azimuths)[SCALE]
+    heights = [level.min_height for level in asset.manifest.levels]
+    levels = list(zip(map(read_mesh, asset.level_paths), heights, strict=True))
+    return morphings(source, levels, views, settings.morph, cache_folder())
 
 
 def _close_ups(tree: Tree, settings: VerifySettings) -> tuple[CloseUp, ...]:

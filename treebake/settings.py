@@ -19,9 +19,11 @@ from typing import Any, get_type_hints
 import msgspec
 
 from treebake.errors import SettingsError
+from treebake.levels import LevelSettings
 from treebake.meshes import LoadSettings
 from treebake.stages.billboards import BillboardSettings
 from treebake.stages.cluster import ClusterSettings
+from treebake.stages.hierarchy import HierarchySettings
 from treebake.stages.indirect import IndirectSettings
 from treebake.stages.scatter import ForestSettings
 from treebake.stages.slicings import SlicingSettings
@@ -56,10 +58,12 @@ class Settings:
     split: SplitSettings = field(default_factory=SplitSettings)
     twigs: TwigSettings = field(default_factory=TwigSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
+    hierarchy: HierarchySettings = field(default_factory=HierarchySettings)
     textures: BillboardSettings = field(default_factory=BillboardSettings)
     indirect_cluster: ClusterSettings = field(default_factory=_few_thick_planes)
     indirect: IndirectSettings = field(default_factory=IndirectSettings)
     trunk: TrunkSettings = field(default_factory=TrunkSettings)
+    levels: LevelSettings = field(default_factory=LevelSettings)
     slicing_twigs: TwigSettings = field(default_factory=_most_branches_sliced)
     slicing_trunk: TrunkSettings = field(default_factory=_thick_branches)
     slicings: SlicingSettings = field(default_factory=SlicingSettings)

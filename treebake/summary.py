@@ -72,7 +72,8 @@ def of_clustered(done: "Clustered") -> Facts:
 
 def of_baked(baked: "Baked") -> Facts:
     """What `treebake textures` prints: the manifest, and how much of the trunk is left."""
-    return {**of_asset(baked.folder), "trunk": asdict(baked.trunk)}
+    trunk = {**asdict(baked.trunk), "silhouette_kept_by_levels": [round(kept, 4) for kept in baked.silhouettes_kept]}
+    return {**of_asset(baked.folder), "trunk": trunk}
 
 
 def of_asset(folder: Path) -> Facts:

@@ -31,6 +31,7 @@ _GROUND = (
     "model",
     "geometry",
     "flatten",
+    "planes",
     "packing",
     "coverage",
     "checks",

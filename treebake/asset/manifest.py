@@ -20,7 +20,8 @@ class Source:
 @dataclass(frozen=True)
 class Level:
     """One self-contained GLB with standard materials. bytes: of the file. min_height: the height on screen, in pixels
-    of the tree's bounding sphere, from which on this level is meant to be drawn.
+    of the tree's bounding sphere, from which on this level is meant to be drawn. trunk_iou: of the silhouettes of a
+    coarser level's trunk and the source's, at the greatest height it is for.
     """
 
     file: str
@@ -30,6 +31,7 @@ class Level:
     trunk_triangles: int
     bytes: int
     min_height: int
+    trunk_iou: float | None = None
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,17 @@ from treebake.errors import AssetError, WorkspaceError
 from treebake.files import atomic
 from treebake.glb import write_glb
 from treebake.images import encode_floats, encode_png, encode_texture
-from treebake.model import BakedTree, Impostor, IndirectTextures, Mesh, PictureAtlas, SlicedFoliage, Texture, Views
+from treebake.model import (
+    BakedLevel,
+    BakedTree,
+    Impostor,
+    IndirectTextures,
+    Mesh,
+    PictureAtlas,
+    SlicedFoliage,
+    Texture,
+    Views,
+)
 
 LOG = logging.getLogger("treebake")
 
@@ -29,13 +39,15 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
     shared: the file that `write_shared_views` wrote the tree's views into, relative to the folder; without it they get
     a file of their own. Raises WorkspaceError where a file cannot be written, or where there is nothing to write.
     """
-    parts = {"cloud": tree.cloud.mesh, "trunk": tree.trunk}
-    nodes = [(name, mesh) for name, mesh in parts.items() if mesh.triangles]
-    if not nodes:
+    finest = BakedLevel(tree.cloud, tree.trunk, 0)
+    if not (nodes := _nodes(finest)):
         raise WorkspaceError(f"{tree.name} has neither foliage nor trunk left; there is nothing to publish")
-    level = folder / f"{tree.name}_LOD0.glb"
-    write_glb(level, nodes)
-    images = [_write_image(folder, tree.name, texture, space) for texture, space in _maps(tree.cloud.mesh)]
+    drawn_from = [*(level.height for level in tree.levels), 0]  # a level reaches down to where the next one begins
+    levels, images = [], []
+    for number, (level, height) in enumerate(zip((finest, *tree.levels), drawn_from, strict=True)):
+        levels.append(_write_level(folder / f"{tree.name}_LOD{number}.glb", level, height))
+        prefix = f"{tree.name}_LOD{number}" if number else tree.name
+        images += [_write_image(folder, prefix, texture, space) for texture, space in _maps(level.cloud.mesh)]
     indirect = slicings = views = None
     if tree.indirect is not None:
         full = folder / f"{tree.name}.glb"
@@ -63,17 +75,7 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
         generator=f"treebake {__version__}",
         name=tree.name,
         source=Source(tree.source_triangles, _corners(tree)),
-        levels=(
-            Level(
-                file=level.name,
-                representations=tuple(name for name, _ in nodes),
-                billboards=len(set(tree.cloud.face_cluster.tolist())),
-                foliage_triangles=tree.cloud.mesh.triangles,
-                trunk_triangles=tree.trunk.triangles,
-                bytes=level.stat().st_size,
-                min_height=0,
-            ),
-        ),
+        levels=tuple(levels),
         indirect=indirect,
         slicings=slicings,
         views=views,
@@ -85,6 +87,26 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
     for stale in before - _named(folder):  # what an earlier bake left and this one does not have
         stale.unlink(missing_ok=True)
     return manifest
+
+
+def _nodes(level: BakedLevel) -> list[tuple[str, Mesh]]:
+    parts = {"cloud": level.cloud.mesh, "trunk": level.trunk}
+    return [(name, mesh) for name, mesh in parts.items() if mesh.triangles]
+
+
+def _write_level(path: Path, level: BakedLevel, min_height: int) -> Level:
+    nodes = _nodes(level)
+    write_glb(path, nodes)
+    return Level(
+        file=path.name,
+        representations=tuple(name for name, _ in nodes),
+        billboards=len(set(level.cloud.face_cluster.tolist())),
+        foliage_triangles=level.cloud.mesh.triangles,
+        trunk_triangles=level.trunk.triangles,
+        bytes=path.stat().st_size,
+        min_height=min_height,
+        trunk_iou=None if level.trunk_iou is None else round(level.trunk_iou, 4),
+    )
 
 
 def _named(folder: Path) -> set[Path]:

@@ -16,7 +16,8 @@ import numpy as np
 from treebake.errors import MeshError, UnsupportedError
 from treebake.formats.gltf_file import Array, GltfFile, unit_range
 from treebake.formats.part import LOG, Part
-from treebake.model import AlphaMode, Doubles, Floats, Ints, Material
+from treebake.glb import MORPH
+from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Morph
 
 Json = dict[str, Any]
 
@@ -30,13 +31,15 @@ _REMEDIES = {
     "KHR_texture_basisu": "give it PNG textures with: gltf-transform ktxdecompress {name} plain.glb",
 }
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_FLOAT = 5126  # component type
 
 
 def read_gltf(path: Path, assigned: Collection[str] = ()) -> list[Part]:
     """Read the triangles of the default scene of a .glb or .gltf file, node transforms applied.
 
     Draco, quantised and sparse accessors, strips, fans and GPU instances are resolved; texture transforms are baked
-    into the uvs; faces stay counter-clockwise under mirroring nodes. Vertex colours, skins and morphs are not read.
+    into the uvs; faces stay counter-clockwise under mirroring nodes. Vertex colours, skins and morphs are not read, but
+    for a morph that is one target named "parent" of plain floats, as treebake writes it.
     assigned: names of materials whose colour map comes from elsewhere, and is not looked for.
 
     Raises MeshError for a damaged file, InputError for a missing buffer or one outside the folder, UnsupportedError
@@ -153,15 +156,34 @@ def _parts(
         used, uv_map = material(primitive["material"]) if "material" in primitive else (None, _UvMap())
         uvs = attributes.get(f"TEXCOORD_{uv_map.texcoord}")
         faces = _triangles(indices, mode)
-        positions, normals, faces = _place(attributes["POSITION"], attributes.get("NORMAL"), faces, worlds)
+        still, target = attributes, _target(file, mesh, primitive)
+        positions, normals, placed = _place(still["POSITION"], still.get("NORMAL"), faces, worlds)
+        morph = None
+        if target and "NORMAL" in still:
+            there, turned, _ = _place(
+                still["POSITION"] + target["POSITION"], still["NORMAL"] + target["NORMAL"], faces, worlds
+            )
+            morph = None if turned is None else Morph(there, turned)
         yield Part(
             node=node["name"],
             material=used,
             positions=positions,
             normals=normals,
             uvs=None if uvs is None else np.tile(_map_uvs(uvs, uv_map), (len(worlds), 1)),
-            faces=faces,
+            faces=placed,
+            morph=morph,
         )
+
+
+def _target(file: GltfFile, mesh: Json, primitive: Json) -> dict[str, Array]:
+    """What the morph adds to positions and normals; empty where there is none that is read."""
+    target = primitive.get("targets", [{}])[0]
+    if mesh.get("extras", {}).get("targetNames") != [MORPH] or _DRACO in primitive.get("extensions", {}):
+        return {}
+    stored = {name: file.json["accessors"][target[name]] for name in ("POSITION", "NORMAL") if name in target}
+    if len(stored) < 2 or any(each["componentType"] != _FLOAT or "sparse" in each for each in stored.values()):
+        return {}
+    return {name: file.accessor(target[name]) for name in stored}
 
 
 def _geometry(file: GltfFile, primitive: Json) -> tuple[dict[str, Array], Ints]:

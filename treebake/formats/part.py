@@ -7,7 +7,7 @@ from urllib.parse import unquote
 
 from treebake.errors import InputError
 from treebake.images import read_image
-from treebake.model import Floats, Ints, Material, Texture
+from treebake.model import Floats, Ints, Material, Morph, Texture
 
 LOG = logging.getLogger("treebake")
 
@@ -18,7 +18,7 @@ class Part:
 
     positions: (V, 3) float32. normals: (V, 3) float32 or None where the file has none; a row of NaN is missing too.
     uvs: (V, 2) float32, v downwards, or None. faces: (F, 3) int32, may be out of range. material: None where the file
-    names none.
+    names none. morph: of the vertices, where the file has one that is read; normals are then not None.
     """
 
     node: str
@@ -27,6 +27,7 @@ class Part:
     normals: Floats | None
     uvs: Floats | None
     faces: Ints
+    morph: Morph | None = None
 
 
 def beside(path: Path, uri: str, way_out: str = "") -> Path:

@@ -27,6 +27,7 @@ class TwigSettings:
 
     trunk_triangles: int = 8000  # triangles that the trunk may have; the thinnest tubes move until the rest fits, > 0
     radius: float = -1.0  # tubes below this part of the tree's height move; 0 moves none, negative fits the budget
+    thinnest: float = 0.0  # tubes below this part of the tree's height move, whatever the budget; 0 to 1
     detail: float = 0.001  # shift of the trunk's silhouette that counts as unseen, as a part of the tree's height, > 0
     length: float = 1.0  # of a piece, in median leaf diameters, > 0
 
@@ -37,19 +38,20 @@ def twigs(tree: Tree, settings: TwigSettings) -> Tree:
     A tube is cut where it falls below the radius for good; the outer section leaves the trunk. Its centreline is cut
     into pieces of equal length, each one an element of the leaves with its direction as `axes`, a prism of three sides
     with the texture coordinates and smooth normals of the bark as geometry, and the area of its silhouette, 2 r L, as
-    area. Nothing moves where there is no foliage to move to, or the trunk is within its budget.
+    area. Nothing moves where there is no foliage to move to, or the trunk is within its budget and nothing too thin.
 
     Raises SettingsError where a setting is out of range.
     """
     _check(settings)
     mesh = tree.trunk
-    modest = settings.radius < 0 and mesh.triangles <= settings.trunk_triangles
-    if tree.leaves.count == 0 or settings.radius == 0 or modest:
+    modest = settings.radius < 0 and not settings.thinnest and mesh.triangles <= settings.trunk_triangles
+    if tree.leaves.count == 0 or mesh.triangles == 0 or settings.radius == 0 or modest:
         return tree
     tubes = find_tubes(mesh)
     bounds = np.stack([tree.trunk.bounds, tree.foliage.bounds])
     height = float(bounds[:, 1, 1].max() - bounds[:, 0, 1].min())
     radius = settings.radius * height if settings.radius > 0 else _fitting_radius(mesh, tubes, height, settings)
+    radius = max(radius, settings.thinnest * height)
     cut = _cuts(tubes, radius)
     if (cut == tubes.first[1:] - 1).all():
         return tree
@@ -66,6 +68,7 @@ def _check(settings: TwigSettings) -> None:
     rules = (
         ("trunk_triangles", settings.trunk_triangles > 0, "above 0"),
         ("radius", settings.radius <= 1, "at most 1"),
+        ("thinnest", 0 <= settings.thinnest <= 1, "0 to 1"),
         ("detail", settings.detail > 0, "above 0"),
         ("length", settings.length > 0, "above 0"),
     )

@@ -18,6 +18,7 @@ from treebake.verify.cameras import CLOSE_UP, Camera, CloseUp, cameras
 from treebake.verify.cost import Cost, cost_of
 from treebake.verify.figures import Figures, summed_up
 from treebake.verify.metrics import SKY, Scores, over, score, score_all
+from treebake.verify.morph import Morphing
 from treebake.verify.reference import SCALE, reference
 from treebake.verify.thresholds import CLOSE, failures, parse
 from treebake.verify.turn import Turn, turn
@@ -46,6 +47,7 @@ class VerifySettings:
     quick: bool = False  # only a third of the views, only at 256 pixels, and not close up
     turn: int = 0  # height in pixels at which the tree is looked at from all round; 0: it is not, or 16 to 2048
     frames: int = 360  # of that turn, 2 or more
+    morph: int = 0  # steps in which each level of a cloud is morphed into the next where it ends; 0: it is not, to 64
     representations: tuple[str, ...] = ()  # of an asset: "cloud", "cloud_same_bytes", "indirect", "leaves",
     # "slicings", "views"; none given: all
     thresholds: dict[str, float | dict[str, float]] = field(default_factory=dict)
@@ -85,8 +87,9 @@ class Report:
     """What `verify` found.
 
     levels: one per height, greatest first. close_up: the crown's edge, its height that of the window; None where it was
-    not looked at. turn: once round the tree, where that was asked for. views: cameras at each height. renderer: the
-    OpenGL that drew. misses: the thresholds that the candidate missed, one line each.
+    not looked at. turn, morphs: once round the tree, and each level of a cloud into the next, where that was asked for.
+    views: cameras at each height. renderer: the OpenGL that drew. misses: the thresholds that the candidate missed, one
+    line each.
     """
 
     levels: tuple[Level, ...]
@@ -95,6 +98,7 @@ class Report:
     views: int
     renderer: str
     misses: tuple[str, ...]
+    morphs: tuple[Morphing, ...] = ()
 
 
 def verify(
@@ -153,6 +157,7 @@ def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Came
         (settings.azimuths < 1, "azimuths: 1 or more"),
         (settings.turn and not 16 <= settings.turn <= 2048, "turn: 0 or 16 to 2048"),
         (settings.frames < 2, "frames: 2 or more"),
+        (not 0 <= settings.morph <= 64, "morph: 0 to 64"),
     ):
         if bad:
             raise SettingsError(f"verify.{what}")
@@ -168,8 +173,10 @@ def _plan(source: Mesh, settings: VerifySettings) -> tuple[list[int], tuple[Came
     asked = {height for _, _, height, _ in parse(settings.thresholds) if isinstance(height, int)}
     if unknown := asked - set(settings.heights):
         raise SettingsError(f"verify.thresholds: {min(unknown)} px is not among verify.heights; measure it or drop it")
-    if settings.quick and settings.turn:
-        LOG.warning("a quick run does not walk round the tree; leave out --quick, or verify.turn")
+    if settings.quick and (settings.turn or settings.morph):
+        LOG.warning(
+            "a quick run does not walk round the tree, nor morph it; leave out --quick, or verify.turn and morph"
+        )
     if unseen := asked - set(heights):
         LOG.warning("thresholds at %s px are not judged: a quick run measures %d px only", _list(unseen), heights[0])
     return heights, directions[SCALE] if settings.quick else directions

@@ -12,6 +12,7 @@ from treebake.files import atomic
 from treebake.images import encode_png, to_srgb
 from treebake.model import Bytes, Floats
 from treebake.verify.figures import Figures
+from treebake.verify.morph import Morphing
 from treebake.verify.protocol import Level, Report, Sample
 from treebake.verify.turn import Turn
 
@@ -43,6 +44,7 @@ def as_dict(report: Report) -> dict[str, Any]:
         "heights": [_level(level) for level in report.levels],
         "close_up": _level(report.close_up) if report.close_up else None,
         "turn": _plain(report.turn) if report.turn else None,
+        "morphs": [_plain(each) for each in report.morphs],
     }
 
 
@@ -93,7 +95,16 @@ def format_table(reports: Mapping[str, Report]) -> str:
         ).rstrip()
         for line in lines
     ]
-    return "\n".join(table + [line for name, report in reports.items() for line in _turned(name, report.turn)])
+    moved = [line for name, each in reports.items() for line in (*_turned(name, each.turn), *_morphed(each.morphs))]
+    return "\n".join(table + moved)
+
+
+def _morphed(morphs: tuple[Morphing, ...]) -> list[str]:
+    return [
+        f"level {each.level} into {each.level + 1} at {each.height} px, FLIP over floor: largest of {each.steps} steps "
+        f"{each.step:.3f}, last one to the next level {each.last:.3f}, without a morph {each.jump:.3f}"
+        for each in morphs
+    ]
 
 
 def _turned(name: str, turn: Turn | None) -> list[str]:
@@ -114,7 +125,7 @@ def _scale(level: Level) -> dict[str, Figures]:
     return {"floor_0.5px": level.floor_half, "floor_1px": level.floor_one, "empty": level.empty}
 
 
-def _plain(figures: Figures | Turn) -> dict[str, Any]:
+def _plain(figures: Figures | Turn | Morphing) -> dict[str, Any]:
     return {
         name: round(value, _DECIMALS) if isinstance(value, float) else value for name, value in asdict(figures).items()
     }

@@ -40,6 +40,7 @@ class BillboardSettings:
     padding: int = 2  # texels kept free around each card, 1 or more
     supersample: int = 4  # samples per texel each way, 1 to 8
     cutoff: float = 0.5  # alphaCutoff of the cards, 0.1 to 0.9
+    height: int = 384  # pixels of the tree at which, and at half of which, the covered area is fitted, 16 to 2048
 
 
 def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> BillboardCloud:
@@ -50,7 +51,7 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
     _check(settings)
     _warn_of_one_sided_leaves(tree)
     flat = flatten(tree.foliage, tree.leaves, clusters)
-    density_limit = settings.leaf_texels / _leaf_size(tree.leaves)
+    density_limit = settings.leaf_texels / tree.leaves.size
     margin = settings.padding / min(density_limit, _density_guess(tree.leaves, settings.atlas))
     cards = cut_cards(flat, clusters.labels, settings.triangles // 2, margin)
     origins, density, size = pack(cards.sizes, settings.atlas, density_limit, settings.padding)
@@ -70,10 +71,10 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
         return _cloud(cards, clusters, origins, density, size, settings.padding, material)
 
     # Leaves that hide each other once they lie in one plane, and cards seen at a grazing angle, cover too little.
-    wanted = covered_area(tree.foliage, tree.foliage, exact=True)
+    wanted = covered_area(tree.foliage, tree.foliage, settings.height, exact=True)
 
     def drawn(alpha: Floats) -> float:
-        return covered_area(cloud(alpha).mesh, tree.foliage, exact=False) / wanted if wanted else 1.0
+        return covered_area(cloud(alpha).mesh, tree.foliage, settings.height, exact=False) / wanted if wanted else 1.0
 
     return cloud(preserve_coverage(color[..., 3], settings.cutoff, drawn))
 
@@ -86,6 +87,7 @@ def _check(settings: BillboardSettings) -> None:
         ("padding", settings.padding >= 1, "1 or more"),
         ("supersample", 1 <= settings.supersample <= 8, "1 to 8"),
         ("cutoff", 0.1 <= settings.cutoff <= 0.9, "0.1 to 0.9"),
+        ("height", 16 <= settings.height <= 2048, "16 to 2048"),
     )
     check("textures", settings, rules)
 
@@ -100,12 +102,6 @@ def _warn_of_one_sided_leaves(tree: Tree) -> None:
                 "set doubleSided in the source if its leaves are meant to be seen from behind",
                 material.name,
             )
-
-
-def _leaf_size(leaves: Leaves) -> float:
-    """The mean root of a leaf's area: it tells the width of slender leaves better than their length does."""
-    real = ~leaves.is_twig
-    return float(np.sqrt(leaves.areas[real if real.any() else slice(None)]).mean())
 
 
 def _density_guess(leaves: Leaves, atlas: int) -> float:
