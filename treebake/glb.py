@@ -71,7 +71,7 @@ def encode_glb(nodes: Sequence[tuple[str, Mesh] | Node], extras: Json | None = N
     A mesh without faces is left out, and so is a node without instances; a morph becomes a target, whose weight is 0.
     Meshes, materials, textures and arrays are written once each, shared by object identity, and equal images once.
     extras: data for the root's `extras`; in it an array (N, 1 to 4) of uint8, uint16, uint32 or float32, N > 0, becomes
-    the index of an accessor that holds it, and a Texture the index of a glTF texture. O(vertices + faces) per primitive.
+    the index of an accessor that holds it, and a Texture the index of a glTF texture. O(vertices + faces) a primitive.
     """
     writer = _Writer()
     for node in nodes:

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from treebake.gl.draw import Drawing, Picture
+from treebake.gl.draw import Drawing
+from treebake.gl.target import Picture
 from treebake.model import Mesh
 from treebake.verify.cameras import Camera
 from treebake.verify.metrics import score
