@@ -215,13 +215,17 @@ def textures(
 @_billboards
 @_atlas
 @_trunk
+@_setting("--height", "budget.height")
+@_setting("--triangles", "budget.triangles")
+@_setting("--bytes", "budget.bytes")
 @_up
 @_force
 @_configured
 def bake(terminal: Terminal, settings: "Settings", tree: Path, out: Path, force: bool) -> None:
     """Bake TREE from mesh to published asset: `cluster` and `textures` in one.
 
-    TREE is a GLB, glTF, OBJ or PLY file; NAME is its name without the suffix.
+    TREE is a GLB, glTF, OBJ or PLY file; NAME is its name without the suffix. With --height only the smallest
+    representation that is invisible at that height is kept, within the caps of --triangles and --bytes.
     """
     from treebake.pipeline import bake_textures, cluster_tree
     from treebake.summary import of_baked, of_clustered
@@ -235,8 +239,17 @@ def bake(terminal: Terminal, settings: "Settings", tree: Path, out: Path, force:
 
 @cli.command(short_help="Render an asset next to its source and score it.")
 @click.argument("asset", type=_FILE, required=False)
-@click.option("--source", required=True, type=_FILE, metavar="TREE", help="The tree that it was baked from.")
+@click.option(
+    "--source",
+    "sources",
+    required=True,
+    multiple=True,
+    type=_FILE,
+    metavar="TREE",
+    help="The tree that it was baked from; of a forest, one for each species, named as it is.",
+)
 @click.option("--candidate", type=_FILE, metavar="FILE", help="Judge this GLB, glTF, OBJ or PLY instead of an asset.")
+@click.option("--forest", "scene", type=_FILE, metavar="SCENE", help="Walk through this forest instead.")
 @click.option("-o", "report", type=_FILE, metavar="FOLDER", help="Where the report goes.  [default: ASSET/report]")
 @click.option(
     "--threshold",
@@ -253,24 +266,32 @@ def verify(
     terminal: Terminal,
     settings: "Settings",
     asset: Path | None,
-    source: Path,
+    sources: tuple[Path, ...],
     candidate: Path | None,
+    scene: Path | None,
     report: Path | None,
 ) -> None:
     """Render ASSET (a published or a work folder) next to its source and score it.
 
-    Reads published files only. Exits with 1, naming the figure, where a threshold is missed.
+    Reads published files only. Exits with 1, naming the figure, where a threshold is missed. With --forest it walks
+    through what `treebake forest` wrote, and tells frame by frame how much faster the ladders are and what is seen.
     """
-    from treebake.pipeline import verify_asset
-    from treebake.verify import as_dict, format_table
+    from treebake.pipeline import verify_asset, verify_forest
+    from treebake.verify import as_dict, forest_facts, format_forest, format_table
 
-    judged = candidate or asset
-    if judged is None:
-        raise click.UsageError("name an ASSET folder, or a file with --candidate")
-    if asset and candidate:
-        raise click.UsageError(f"judge either {asset} or --candidate {candidate}; leave one of them out")
+    named = [path for path in (asset, candidate, scene) if path]
+    if len(named) != 1:
+        raise click.UsageError("name one of: an ASSET folder, a file with --candidate, a forest with --forest")
+    if scene:
+        with terminal.announce("verify") as progress:
+            walked, changes, folder = verify_forest(scene, sources, report, settings, progress)
+        facts = {"report": str(folder), **forest_facts(walked, changes)}
+        terminal.show(facts, text=f"{format_forest(walked, changes)}\nreport: {folder}")
+        return
+    if len(sources) != 1:
+        raise click.UsageError("an asset or a candidate has one --source")
     with terminal.announce("verify") as progress:
-        found, folder = verify_asset(judged, source, report, settings, progress)
+        found, folder = verify_asset(named[0], sources[0], report, settings, progress)
     facts = {"report": str(folder), "representations": {name: as_dict(of_one) for name, of_one in found.items()}}
     terminal.show(facts, text=f"{format_table(found)}\n\n(= is invisible)  report: {folder}")
     misses = [f"{name.replace('_', ' ')}: {miss}" for name, of_one in found.items() for miss in of_one.misses]

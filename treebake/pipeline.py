@@ -3,7 +3,7 @@
     load -> split -> twigs -> cluster, twice                `cluster_tree`: a mesh file into the work folder
             -> views, indirect, slicings, billboards, trunk
             -> hierarchy -> a cloud and a trunk for each level (`levels.py`)
-            -> write_asset                                  `bake_textures`: the work folder into the published one
+            -> write_asset -> ladder, or smallest           `bake_textures`: the work folder into the published one
     read_asset -> scatter -> write_forest                   `plant_forest`: published folders into one file
 
 The verifier stands apart: it reads published files only.
@@ -19,10 +19,14 @@ import numpy as np
 from treebake.asset import (
     SHARED,
     Asset,
+    Rung,
     asset_bounds,
+    files_of,
     read_asset,
+    read_forest,
     write_asset,
     write_forest,
+    write_ladder,
     write_shared_views,
 )
 from treebake.errors import InputError, SettingsError, WorkspaceError
@@ -31,6 +35,7 @@ from treebake.geometry import join
 from treebake.levels import bake_levels
 from treebake.meshes import read_mesh
 from treebake.model import (
+    BakedLevel,
     BakedTree,
     BillboardCloud,
     Clusters,
@@ -58,15 +63,24 @@ from treebake.stages.views import views
 from treebake.verify import (
     JUDGED,
     SCALE,
+    BudgetSettings,
+    Change,
     CloseUp,
+    Ladder,
     Morphing,
     Report,
     VerifySettings,
+    Walk,
+    approach,
     cameras,
     close_ups,
+    ladder,
     morphings,
     representations,
+    smallest,
     verify,
+    walk,
+    write_forest_report,
     write_report,
 )
 from treebake.workspace import Result, Workspace
@@ -138,7 +152,7 @@ def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Bake
     impostor = None
     if settings.views.enabled:
         impostor = work.run(views, settings.views, Result.together([tree])).value[0]
-    return _publish(work, _baked(work, settings, impostor), folder, None)
+    return _publish(work, _baked(work, settings, impostor), folder, None, settings)
 
 
 def bake_shared(works: Sequence[Workspace], out: Path, settings: Settings) -> list[Baked]:
@@ -159,7 +173,9 @@ def bake_shared(works: Sequence[Workspace], out: Path, settings: Settings) -> li
     baked = [_baked(work, settings, impostor) for work, impostor in zip(works, impostors, strict=True)]
     shared = write_shared_views(list(zip(names, impostors, strict=True)), out)  # from here on nothing can fail to bake
     beside = Path("..") / shared.relative_to(out)
-    return [_publish(work, tree, out / name, beside) for work, tree, name in zip(works, baked, names, strict=True)]
+    return [
+        _publish(work, tree, out / name, beside, settings) for work, tree, name in zip(works, baked, names, strict=True)
+    ]
 
 
 def distinct_names(works: Sequence[Workspace]) -> list[str]:
@@ -208,15 +224,60 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
     )
 
 
-def _publish(work: Workspace, baked: BakedTree, folder: Path, shared: Path | None) -> Baked:
-    """Write the asset, and tell what is left of the trunk."""
+def _publish(work: Workspace, baked: BakedTree, folder: Path, shared: Path | None, settings: Settings) -> Baked:
+    """Write the asset, measure what was written, and tell what is left of the trunk."""
     with work.announce("asset"):
         write_asset(baked, folder, shared)
     command = _command(work)
+    parts: Result[Tree] = work.read("split", command)
+    source = Result(f"{parts.digest}.whole", lambda: join(parts.value.trunk, parts.value.foliage))
+    asset = read_asset(folder)
+    written = Result.of_files([folder / file for file in files_of(asset.manifest)], lambda: asset)
+    if settings.budget != BudgetSettings():
+        kept: Rung = work.run(smallest, settings.budget, written, source, name="budget").value
+        _warn_if_seen(kept, settings.budget.height)
+        only, level = _only(baked, kept, asset.level_number(settings.budget.height))
+        write_asset(only, folder, shared)
+        write_ladder(folder, [replace(kept, level=level)], [], [0])
+    elif settings.ladder.enabled:
+        measured: Ladder = work.run(ladder, settings.ladder, written, source).value
+        write_ladder(folder, measured.rungs, measured.left_out, measured.level_heights)
     tree: Tree = work.read("twigs", command).value
     pieces = tree.foliage.select(tree.leaves.is_twig[tree.leaves.face_leaf])
     finest = compare(work.read("split", command).value.trunk, baked.trunk, pieces)
     return Baked(folder, finest, tuple(level.silhouette_kept for level in baked.levels))
+
+
+def _only(baked: BakedTree, kept: Rung, level: int) -> tuple[BakedTree, int | None]:
+    """What is kept of a tree, and the place of its cloud among the levels: one representation, and one standard level.
+
+    level: the standard level to keep beside what no standard viewer draws, unless that needs its trunk.
+    """
+    number = level if kept.level is None else kept.level
+    if kept.representation in ("leaves", "indirect"):
+        number = 0
+    finest = BakedLevel(baked.cloud, baked.trunk, 0)
+    one = (finest, *baked.levels)[number]
+    only = replace(
+        baked,
+        cloud=replace(one.cloud, mesh=replace(one.cloud.mesh, morph=None)),
+        trunk=one.trunk,
+        levels=(),
+        indirect=baked.indirect if kept.representation in ("leaves", "indirect") else None,
+        slicings=baked.slicings if kept.representation == "slicings" else None,
+        views=baked.views if kept.representation == "views" else None,
+    )
+    return only, None if kept.level is None else 0
+
+
+def _warn_if_seen(kept: Rung, height: int) -> None:
+    if kept.flip_ratio > 1:
+        LOG.warning(
+            "nothing within the budget is invisible at %d px; %s is kept, whose FLIP is %.2f times floor(1 px)",
+            height,
+            kept.representation,
+            kept.flip_ratio,
+        )
 
 
 def _command(work: Workspace) -> str:
@@ -249,6 +310,28 @@ def plant_forest(folders: Sequence[Path], path: Path, settings: Settings) -> tup
     forest = scatter(sizes, settings.forest)
     write_forest(path, forest, assets)
     return forest, assets
+
+
+def verify_forest(
+    path: Path, sources: Sequence[Path], report: Path | None, settings: Settings, progress: Callable[[int, int], None]
+) -> tuple[Walk, dict[str, tuple[Change, ...]], Path]:
+    """Walk through a forest, once drawn by the ladders of its assets and once as the sources of its species.
+
+    sources: a mesh file for each species, named as it is. The report goes into `report`, or else beside the forest.
+    Returns what was found on the way, what someone sees who walks up to a tree of each species, and the folder.
+    Raises InputError, AssetError, GraphicsError, SettingsError and WorkspaceError.
+    """
+    forest, folders = read_forest(path)
+    assets = {name: read_asset(folder) for name, folder in zip(forest.names, folders, strict=True)}
+    meshes = {source.stem: read_mesh(source, settings.load) for source in sources}
+    for name, mesh in meshes.items():
+        if name in assets:
+            _warn_of_another_source(mesh, Path(name), assets[name])
+    found = walk(forest, assets, meshes, settings.walk, progress)
+    changes = {name: approach(assets[name], meshes[name]) for name in forest.names}
+    folder = report or path.parent / f"{path.stem}_report"
+    write_forest_report(found, changes, folder)
+    return found, changes, folder
 
 
 def inspect_tree(path: Path, settings: Settings) -> tuple[Mesh, Tree]:

@@ -53,6 +53,14 @@ def features(leaves: Leaves, origin: Doubles, angle_weight: float) -> Doubles:
     )
 
 
+def displacement(leaves: Leaves, clusters: Clusters) -> float:
+    """How far the points of leaves move into their planes: root of the mean square by area, in the tree's unit."""
+    normals = clusters.normals[clusters.labels]
+    distances = np.einsum("ij,ij->i", normals, leaves.centers) + clusters.offsets[clusters.labels]
+    turned = leaves.radii**2 / 4 * np.einsum("ij,ijk,ik->i", normals, misfit(leaves), normals)
+    return float(np.sqrt(np.average(distances**2 + turned, weights=leaves.areas)))
+
+
 def summed(values: Doubles, labels: Ints, count: int, weight: Doubles | None = None) -> Doubles:
     """Weighted sums of features (N, 16) over each of `count` labels: (count, 16) float64."""
     weight = np.ones(len(labels)) if weight is None else weight

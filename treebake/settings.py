@@ -31,7 +31,7 @@ from treebake.stages.split import SplitSettings
 from treebake.stages.trunk import TrunkSettings
 from treebake.stages.twigs import TwigSettings
 from treebake.stages.views import ViewSettings
-from treebake.verify import VerifySettings
+from treebake.verify import BudgetSettings, LadderSettings, VerifySettings, WalkSettings
 
 Tables = Mapping[str, Any]  # as TOML nests them: table -> key -> value
 
@@ -69,7 +69,10 @@ class Settings:
     slicings: SlicingSettings = field(default_factory=SlicingSettings)
     views: ViewSettings = field(default_factory=ViewSettings)
     forest: ForestSettings = field(default_factory=ForestSettings)
+    ladder: LadderSettings = field(default_factory=LadderSettings)
+    budget: BudgetSettings = field(default_factory=BudgetSettings)
     verify: VerifySettings = field(default_factory=VerifySettings)
+    walk: WalkSettings = field(default_factory=WalkSettings)
 
 
 @dataclass(frozen=True)

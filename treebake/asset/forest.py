@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from treebake.asset.extras import Extras, read_extras
+from treebake.asset.ladder import screen_coverage
 from treebake.asset.manifest import FORMAT, Asset
 from treebake.asset.read import files_of
 from treebake.errors import AssetError, WorkspaceError
@@ -20,7 +21,6 @@ from treebake.model import Cells, Floats, Forest, Mesh
 # Values and width of the tables' accessors; of the forest or of its cells, whose bounds take two rows each.
 TABLES = {"places": ("f4", 4), "turns": ("f4", 1), "species": ("u2", 1)}
 CELLS = {"bounds": ("f4", 3), "first": ("u4", 1), "count": ("u4", 1)}
-_VIEW_HEIGHT = 1080  # pixels, of the view that MSFT_screencoverage is a part of
 
 
 def asset_bounds(asset: Asset) -> Floats:
@@ -90,7 +90,7 @@ def _nodes(forest: Forest, species: Sequence[Asset]) -> Iterator[Node]:
         number = int(forest.species[first])
         near, *far = levels(number)
         manifest = species[number].manifest
-        coverage = [level.min_height / _VIEW_HEIGHT for level in manifest.levels] if far else []
+        coverage = screen_coverage([level.min_height for level in manifest.levels]) if far else []
         yield Node(manifest.name, near, far, coverage, _instances(forest, slice(first, end)))
 
 

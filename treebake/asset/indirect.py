@@ -11,9 +11,8 @@ from treebake.asset.extras import Extras, IndirectExtras, read_extras
 from treebake.asset.manifest import FORMAT
 from treebake.compression import block_bytes
 from treebake.formats.gltf_file import GltfFile
-from treebake.glb import write_glb
 from treebake.lookup import LIST_BITS, ROW_BITS
-from treebake.model import IndirectTextures, LeafCards, Longs, Mesh, Texture
+from treebake.model import IndirectTextures, LeafCards, Longs, Texture
 
 TABLES = {  # name: values of one texel, texels of one row (0: of the image's own size)
     "billboards": (4, 5),
@@ -27,14 +26,14 @@ IMAGES = ("leaf_color", "leaf_normal", "far_color", "far_normal")
 _NUMBERS = {"billboards": "f4", "shapes": "f4", "hash_texture": "u4", "lists_texture": "u2", "placements": "u4"}
 
 
-def write_indirect(path: Path, nodes: list[tuple[str, Mesh]], textures: IndirectTextures) -> None:
-    """Write standard meshes and the indirect textures into one GLB. Raises WorkspaceError."""
+def indirect_extras(textures: IndirectTextures) -> dict[str, Any]:
+    """The indirect textures as `extras.treebake` of a GLB holds them."""
     tables = {name: getattr(textures, name).reshape(-1, width) for name, (width, _) in TABLES.items()}
     images = {name: getattr(textures, name) for name in IMAGES}
     values = {**tables, **images, "hash_width": textures.hash_texture.shape[1], "largest": textures.largest}
     values["leaves"] = textures.leaves
     ordered = {field.name: values[field.name] for field in fields(IndirectExtras)}
-    write_glb(path, nodes, {"treebake": {"format": FORMAT, "indirect": ordered}})
+    return {"format": FORMAT, "indirect": ordered}
 
 
 def read_indirect(path: Path) -> IndirectTextures:

@@ -21,7 +21,8 @@ class Source:
 class Level:
     """One self-contained GLB with standard materials. bytes: of the file. min_height: the height on screen, in pixels
     of the tree's bounding sphere, from which on this level is meant to be drawn. trunk_iou: of the silhouettes of a
-    coarser level's trunk and the source's, at the greatest height it is for.
+    coarser level's trunk and the source's, at the greatest height it is for. displacement: how far the points of leaves
+    were moved into its planes, root mean square, in the source's unit.
     """
 
     file: str
@@ -32,6 +33,7 @@ class Level:
     bytes: int
     min_height: int
     trunk_iou: float | None = None
+    displacement: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -124,12 +126,15 @@ class Image:
 
 @dataclass(frozen=True)
 class Manifest:
-    """The whole of manifest.json. Paths are relative to it; levels go from near to far."""
+    """The whole of manifest.json. Paths are relative to it; levels and ladder go from near to far. file: all levels,
+    bound to each other, and the indirect textures.
+    """
 
     format: int
     generator: str
     name: str
     source: Source
+    file: str
     levels: Annotated[tuple[Level, ...], msgspec.Meta(min_length=1)]
     textures: tuple[Image, ...]
     indirect: Indirect | None = None  # these three where there is foliage and they were baked
@@ -151,11 +156,11 @@ class Asset:
         """The GLB of every level, from near to far."""
         return tuple(self.folder / level.file for level in self.manifest.levels)
 
+    def level_number(self, height: int) -> int:
+        """The nearest level that reaches down to a tree `height` pixels high."""
+        levels = self.manifest.levels
+        return next((number for number, level in enumerate(levels) if level.min_height <= height), len(levels) - 1)
+
     def level_for(self, height: int) -> Path:
-        """The GLB of the nearest level that reaches down to a tree `height` pixels high."""
-        reaching = [
-            path
-            for level, path in zip(self.manifest.levels, self.level_paths, strict=True)
-            if level.min_height <= height
-        ]
-        return (reaching or [self.level_paths[-1]])[0]
+        """The GLB of that level."""
+        return self.level_paths[self.level_number(height)]

@@ -36,7 +36,7 @@ def read_asset(folder: Path) -> Asset:
 def files_of(manifest: Manifest) -> list[str]:
     """Every file that a manifest names."""
     entries = [entry for entry in (manifest.indirect, manifest.slicings, manifest.views) if entry]
-    return [each.file for each in (*manifest.levels, *manifest.textures, *entries)]
+    return [manifest.file, *(each.file for each in (*manifest.levels, *manifest.textures, *entries))]
 
 
 class _Numbered(msgspec.Struct):

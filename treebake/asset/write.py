@@ -4,17 +4,17 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from treebake import __version__
-from treebake.asset.indirect import IMAGES, TABLES, indirect_bytes, write_indirect
+from treebake.asset.indirect import IMAGES, TABLES, indirect_bytes, indirect_extras
+from treebake.asset.ladder import screen_coverage, write_manifest
 from treebake.asset.manifest import FORMAT, Image, Indirect, Level, Manifest, Picture, SlicingsEntry, Source, ViewsEntry
 from treebake.asset.pictures import ATLAS, atlas_bytes, views_names, write_slicings, write_views
 from treebake.asset.read import files_of, read_asset
 from treebake.errors import AssetError, WorkspaceError
 from treebake.files import atomic
-from treebake.glb import write_glb
+from treebake.glb import Node, write_glb
 from treebake.images import encode_floats, encode_png, encode_texture
 from treebake.model import (
     BakedLevel,
@@ -40,7 +40,7 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
     a file of their own. Raises WorkspaceError where a file cannot be written, or where there is nothing to write.
     """
     finest = BakedLevel(tree.cloud, tree.trunk, 0)
-    if not (nodes := _nodes(finest)):
+    if not _nodes(finest):
         raise WorkspaceError(f"{tree.name} has neither foliage nor trunk left; there is nothing to publish")
     drawn_from = [*(level.height for level in tree.levels), 0]  # a level reaches down to where the next one begins
     levels, images = [], []
@@ -48,10 +48,11 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
         levels.append(_write_level(folder / f"{tree.name}_LOD{number}.glb", level, height))
         prefix = f"{tree.name}_LOD{number}" if number else tree.name
         images += [_write_image(folder, prefix, texture, space) for texture, space in _maps(level.cloud.mesh)]
+    full = folder / f"{tree.name}.glb"
+    extras = {} if tree.indirect is None else {"treebake": indirect_extras(tree.indirect)}
+    write_glb(full, _bound((finest, *tree.levels), levels), extras)
     indirect = slicings = views = None
     if tree.indirect is not None:
-        full = folder / f"{tree.name}.glb"
-        write_indirect(full, nodes, tree.indirect)
         images += _write_indirect_images(folder, tree.name, tree.indirect)
         indirect = Indirect(
             file=full.name,
@@ -75,6 +76,7 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
         generator=f"treebake {__version__}",
         name=tree.name,
         source=Source(tree.source_triangles, _corners(tree)),
+        file=full.name,
         levels=tuple(levels),
         indirect=indirect,
         slicings=slicings,
@@ -82,8 +84,7 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
         textures=tuple(images),
     )
     before = _named(folder)
-    with atomic(folder / "manifest.json") as file:
-        file.write(msgspec.json.format(msgspec.json.encode(manifest), indent=2) + b"\n")
+    write_manifest(folder, manifest)
     for stale in before - _named(folder):  # what an earlier bake left and this one does not have
         stale.unlink(missing_ok=True)
     return manifest
@@ -92,6 +93,13 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
 def _nodes(level: BakedLevel) -> list[tuple[str, Mesh]]:
     parts = {"cloud": level.cloud.mesh, "trunk": level.trunk}
     return [(name, mesh) for name, mesh in parts.items() if mesh.triangles]
+
+
+def _bound(baked: Sequence[BakedLevel], levels: Sequence[Level]) -> list[Node]:
+    """Cloud and trunk, each with its coarser levels and the part of the screen down to which each is drawn."""
+    coverage = screen_coverage([level.min_height for level in levels])
+    parts = {"cloud": [level.cloud.mesh for level in baked], "trunk": [level.trunk for level in baked]}
+    return [Node(name, near, far, coverage if far else ()) for name, (near, *far) in parts.items()]
 
 
 def _write_level(path: Path, level: BakedLevel, min_height: int) -> Level:
@@ -106,6 +114,7 @@ def _write_level(path: Path, level: BakedLevel, min_height: int) -> Level:
         bytes=path.stat().st_size,
         min_height=min_height,
         trunk_iou=None if level.trunk_iou is None else round(level.trunk_iou, 4),
+        displacement=round(level.cloud.displacement, 6),
     )
 
 

@@ -1,7 +1,11 @@
 """The proof: draws a candidate next to its source as a stock glTF client does, and measures the difference."""
 
+from treebake.verify.approach import Change, approach
+from treebake.verify.budget import BudgetSettings, smallest
 from treebake.verify.cameras import CloseUp, cameras, close_ups
 from treebake.verify.figures import Figures
+from treebake.verify.forest_report import forest_facts, format_forest, write_forest_report
+from treebake.verify.ladder import Ladder, LadderSettings, ladder
 from treebake.verify.morph import Morphing, morphings
 from treebake.verify.protocol import JUDGED, Level, Report, Sample, VerifySettings, verify
 from treebake.verify.reference import SCALE
@@ -9,25 +13,39 @@ from treebake.verify.report import as_dict, format_table, write_report
 from treebake.verify.representations import representations
 from treebake.verify.silhouette import silhouette_iou
 from treebake.verify.thresholds import failures
+from treebake.verify.walk import Walk, WalkSettings, walk
 
 __all__ = [
     "JUDGED",
     "SCALE",
+    "BudgetSettings",
+    "Change",
     "CloseUp",
     "Figures",
+    "Ladder",
+    "LadderSettings",
     "Level",
     "Morphing",
     "Report",
     "Sample",
     "VerifySettings",
+    "Walk",
+    "WalkSettings",
+    "approach",
     "as_dict",
     "cameras",
     "close_ups",
     "failures",
+    "forest_facts",
+    "format_forest",
     "format_table",
+    "ladder",
     "morphings",
     "representations",
     "silhouette_iou",
+    "smallest",
     "verify",
+    "walk",
+    "write_forest_report",
     "write_report",
 ]

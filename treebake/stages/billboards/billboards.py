@@ -1,7 +1,7 @@
 """The billboard cloud as every glTF viewer draws it: flat cards with one alpha-masked atlas ([GSSK05])."""
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from treebake.model import (
     Tree,
 )
 from treebake.packing import pack, texel_sizes
+from treebake.planes import displacement
 from treebake.stages.billboards.cards import Cards, cut_cards
 from treebake.stages.billboards.silhouette import covered_area
 
@@ -76,7 +77,8 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
     def drawn(alpha: Floats) -> float:
         return covered_area(cloud(alpha).mesh, tree.foliage, settings.height, exact=False) / wanted if wanted else 1.0
 
-    return cloud(preserve_coverage(color[..., 3], settings.cutoff, drawn))
+    made = cloud(preserve_coverage(color[..., 3], settings.cutoff, drawn))
+    return replace(made, displacement=displacement(tree.leaves, clusters))
 
 
 def _check(settings: BillboardSettings) -> None:

@@ -1,0 +1,90 @@
+"""Find the smallest representation of an asset that is invisible at a height, within caps on triangles and bytes."""
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from treebake.asset import Asset, Rung
+from treebake.checks import check
+from treebake.errors import BudgetError
+from treebake.gl.draw import Drawing
+from treebake.model import Mesh
+from treebake.verify.cameras import bounding_sphere, cameras
+from treebake.verify.cost import Cost, cost_of
+from treebake.verify.ladder import Candidate, candidates
+from treebake.verify.metrics import flips
+from treebake.verify.reference import reference
+
+_MOST_MOVED = 2.0  # pixels, root mean square, by which leaves may be moved: with more a cloud is not tried
+_ELEVATIONS, _AZIMUTHS = (0.0, 25.0, 60.0), 4  # degrees; views at each
+
+
+@dataclass(frozen=True)
+class BudgetSettings:
+    """What is asked of the one representation that is kept."""
+
+    height: int = 0  # pixels of the tree's bounding sphere at which it is to be invisible, 16 to 2048; 0: all are kept
+    triangles: int = 0  # that it may have, at most; 0: any number
+    bytes: int = 0  # on the graphics card, block-compressed, at most; 0: any number
+
+
+def smallest(
+    asset: Asset,
+    source: Mesh,
+    settings: BudgetSettings,
+    cache: Path | None = None,
+    tried: Callable[[str, float], None] | None = None,
+) -> Rung:
+    """The representation with the fewest bytes that is invisible; where none is, the one that differs least.
+
+    Whether it can be is told first by how far a cloud moves its leaves, in pixels; only then it is drawn. source: the
+    tree that the asset was baked from. cache: as for `verify`. tried: told what was drawn, and its FLIP over floor(1
+    px). O(candidates x views (faces + pixels)). Raises SettingsError, BudgetError where nothing is within the caps,
+    AssetError and GraphicsError.
+    """
+    _check(settings)
+    costs = {candidate: cost_of(candidate.mesh, candidate.layers) for candidate in candidates(asset)}
+    fitting = [one for one, cost in costs.items() if _within(cost, settings)]
+    if not fitting:
+        least = min(costs.values(), key=lambda cost: cost.gpu_bytes)
+        raise BudgetError(
+            f"nothing of {asset.manifest.name} is within [budget] triangles = {settings.triangles}, bytes = "
+            f"{settings.bytes}; the smallest has {least.triangles:,} triangles and {least.gpu_bytes:,} bytes"
+        )
+    pixel = 2 * bounding_sphere(source)[1] / settings.height
+    near = [one for one in fitting if _displacement(asset, one) <= _MOST_MOVED * pixel] or fitting
+    directions = cameras(source, _ELEVATIONS, _AZIMUTHS)
+    known = reference(source, None, directions, settings.height, cache, lambda _: None)
+    ratios: dict[Candidate, float] = {}
+    for one in sorted(near, key=lambda one: costs[one].gpu_bytes):
+        with closing(Drawing(one.mesh, one.layers)) as drawing:
+            pictures = (drawing.picture(camera.view(settings.height)) for camera in directions)
+            measured = flips(map(known.picture, range(len(directions))), pictures)
+        ratios[one] = float(measured.mean() / known.floor_one.flip.mean())
+        if tried:
+            tried(one.representation, ratios[one])
+        if ratios[one] <= 1:
+            break
+    best = min(ratios, key=lambda one: ratios[one])
+    cost = costs[best]
+    return Rung(best.representation, best.file, best.level, 0, round(ratios[best], 4), cost.triangles, cost.gpu_bytes)
+
+
+def _check(settings: BudgetSettings) -> None:
+    rules = (
+        ("height", 16 <= settings.height <= 2048, "16 to 2048"),
+        ("triangles", settings.triangles >= 0, "0 or more"),
+        ("bytes", settings.bytes >= 0, "0 or more"),
+    )
+    check("budget", settings, rules)
+
+
+def _within(cost: Cost, settings: BudgetSettings) -> bool:
+    triangles = not settings.triangles or cost.triangles <= settings.triangles
+    return triangles and (not settings.bytes or cost.gpu_bytes <= settings.bytes)
+
+
+def _displacement(asset: Asset, candidate: Candidate) -> float:
+    """Of a cloud's leaves; what has depth shows each leaf where it is."""
+    return 0.0 if candidate.level is None else asset.manifest.levels[candidate.level].displacement

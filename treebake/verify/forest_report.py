@@ -1,0 +1,82 @@
+"""What was found on the way through a forest, for people and for machines."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from treebake.files import atomic
+from treebake.images import encode_png, to_srgb
+from treebake.verify.approach import Change
+from treebake.verify.walk import Frame, Walk
+
+_COLUMNS = (  # heading, figure, format
+    ("trees", "trees", "d"),
+    ("ms", "milliseconds", ".1f"),
+    ("source ms", "source_milliseconds", ".1f"),
+    ("/floor", "flip_ratio", ".3f"),
+    ("triangles", "triangles", ",d"),
+    ("draws", "draw_calls", "d"),
+    ("overdraw", "overdraw", ".2f"),
+)
+
+
+def forest_facts(found: Walk, changes: Mapping[str, Sequence[Change]]) -> dict[str, Any]:
+    """Everything as plain values for JSON. changes: of each species' ladder."""
+    return {
+        "renderer": found.renderer,
+        "speed_up_worst": round(found.speed_up_worst, 3),
+        "speed_up_mean": round(found.speed_up_mean, 3),
+        "worst_milliseconds": round(found.worst, 3),
+        "mean_milliseconds": round(found.mean, 3),
+        "flip_ratio": round(found.flip_ratio, 5),
+        "gpu_bytes": found.gpu_bytes,
+        "frames": [_rounded(asdict(frame)) for frame in found.frames],
+        "changes": {name: [_rounded(asdict(change)) for change in each] for name, each in changes.items()},
+    }
+
+
+def format_forest(found: Walk, changes: Mapping[str, Sequence[Change]]) -> str:
+    """Lay the frames out for a terminal, the sums and the changes of rungs below."""
+    rows = [["frame", *(heading for heading, _, _ in _COLUMNS)]]
+    rows += [[str(number), *_cells(frame)] for number, frame in enumerate(found.frames)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    lines += [
+        "",
+        f"worst frame {found.worst:.1f} ms, mean {found.mean:.1f} ms; times the source's speed: worst frame "
+        f"{found.speed_up_worst:.1f}, mean {found.speed_up_mean:.1f} ({found.renderer})",
+        f"FLIP / floor(1 px), mean of the compared frames: {found.flip_ratio:.3f}",
+        f"bytes on the graphics card, all rungs of all species: {found.gpu_bytes:,}",
+    ]
+    for name, each in changes.items():
+        lines += [
+            f"{name}, {change.nearer} to {change.farther} at {change.height} px: largest step {change.step:.2f} times "
+            "the source's own"
+            for change in each
+        ]
+    return "\n".join(lines)
+
+
+def write_forest_report(found: Walk, changes: Mapping[str, Sequence[Change]], folder: Path) -> None:
+    """Write forest.json, and forest.png: the two compared frames that differ most, source and ours side by side.
+
+    Raises WorkspaceError where the folder cannot be written.
+    """
+    with atomic(folder / "forest.png") as file:
+        rows = [np.concatenate([to_srgb(picture) for picture in pair], axis=1) for pair in found.samples]
+        file.write(encode_png(np.concatenate(rows)))
+    with atomic(folder / "forest.json") as file:
+        file.write((json.dumps(forest_facts(found, changes), indent=2) + "\n").encode())
+
+
+def _cells(frame: Frame) -> list[str]:
+    values = [(getattr(frame, figure), form) for _, figure, form in _COLUMNS]
+    return ["-" if value is None else format(value, form) for value, form in values]
+
+
+def _rounded(values: dict[str, Any]) -> dict[str, Any]:
+    return {name: round(value, 5) if isinstance(value, float) else value for name, value in values.items()}
