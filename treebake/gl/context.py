@@ -31,6 +31,16 @@ def context() -> moderngl.Context:
     return gl
 
 
+def leave_framebuffer() -> None:
+    """Bind a framebuffer that stays, before the one in use is freed: a scope goes back to what was bound before it."""
+    _nowhere().use()
+
+
+@cache
+def _nowhere() -> moderngl.Framebuffer:
+    return context().simple_framebuffer((1, 1))
+
+
 def program(name: str) -> moderngl.Program:
     """Compile `shaders/NAME.glsl`: both stages in one file, told apart by VERTEX_STAGE and FRAGMENT_STAGE.
 

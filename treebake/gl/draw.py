@@ -18,7 +18,7 @@ import moderngl
 import numpy as np
 
 from treebake.errors import GraphicsError
-from treebake.gl.context import context, program
+from treebake.gl.context import context, leave_framebuffer, program
 from treebake.gl.indirect import IndirectBillboards
 from treebake.gl.instances import instanced
 from treebake.gl.leaf_quads import LeafQuads
@@ -148,6 +148,7 @@ class Drawing:
 
     def close(self) -> None:
         """Free everything on the graphics card; the drawing cannot be used afterwards."""
+        leave_framebuffer()
         for target in self._targets.values():
             target.release()
         for resource in reversed(self._owned):

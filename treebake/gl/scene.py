@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import moderngl
 
-from treebake.gl.context import context
+from treebake.gl.context import context, leave_framebuffer
 from treebake.gl.draw import Drawing
 from treebake.gl.target import Picture, Target
 from treebake.gl.view import Grove, View
@@ -52,7 +52,7 @@ class Scene:
 
     def close(self) -> None:
         """Free everything on the graphics card."""
-        self._target.count.use()  # else the next scope would go back to a framebuffer that is gone
+        leave_framebuffer()
         self._plain.release()
         self._target.release()
 

@@ -27,7 +27,7 @@ from treebake.verify.representations import without
 
 _HOPELESS = 1.5  # FLIP over floor(1 px) from which on the next height is not tried: a step there takes off less
 _ENTRIES = {"leaves": "indirect", "indirect": "indirect", "slicings": "slicings", "views": "views"}  # of the manifest
-_AS_GOOD = 1.05  # times the finest level's FLIP that a coarser standard level may have, where none is invisible
+_NO_WORSE = 1.25  # times the finest level's FLIP that a coarser standard level may have, where none is invisible
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,8 @@ def ladder(
         for done, height in enumerate(settings.heights):
             judge.look(height)
             chosen.append(judge.cheapest(range(len(found))))
-            best = max(1.0, _AS_GOOD * judge.ratio(clouds[0])) if len(clouds) > 1 else 0.0
-            while step + 1 < len(clouds) and judge.ratio(clouds[step + 1]) <= best:
+            best = max(1.0, _NO_WORSE * judge.measured(clouds[0])) if len(clouds) > 1 else 0.0
+            while step + 1 < len(clouds) and judge.measured(clouds[step + 1]) <= best:
                 step += 1
                 levels.append(height)
             if progress:
@@ -183,10 +183,12 @@ class _Judge:
 
     def ratio(self, candidate: int) -> float:
         """Measured at this height; infinite where that at the height above left no hope."""
-        key = candidate, self.height
         above = self.ratios.get((candidate, self.before), 0.0)
-        if key not in self.ratios and above > _HOPELESS:
-            return float("inf")
+        return float("inf") if above > _HOPELESS else self.measured(candidate)
+
+    def measured(self, candidate: int) -> float:
+        """FLIP over floor(1 px) at this height."""
+        key = candidate, self.height
         if key not in self.ratios:
             assert self.known is not None
             pictures = (self.drawings[candidate].picture(camera.view(self.height)) for camera in self.directions)
@@ -215,5 +217,5 @@ class _Judge:
             return "others were invisible for less work at every height"
         height, least = min(measured.items(), key=lambda item: item[1])
         if least > 1:
-            return f"never invisible: FLIP / floor(1 px) is {least:.2f} at best, at {height} px"
+            return f"seen where it would have been the least work: FLIP / floor(1 px) is {least:.2f} at {height} px"
         return f"invisible ({least:.2f} at {height} px), but another was for less work"
