@@ -309,6 +309,7 @@ def test_twig_pieces_alone_make_a_cloud() -> None:
         ("supersample", 9),
         ("cutoff", 0.05),
         ("cutoff", 0.95),
+        ("height", 8),
     ],
 )
 def test_setting_out_of_range_is_named(name: str, value: float) -> None:

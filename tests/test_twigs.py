@@ -112,6 +112,15 @@ def test_no_tubes_to_move(mesh):
     assert twigs(tree, TwigSettings(trunk_triangles=1)) is tree
 
 
+def test_the_thinnest_move_even_within_the_budget():
+    tree = tree_of(together(THICK, *forest(3)))
+    plenty = TwigSettings(trunk_triangles=10**6, thinnest=0.05)
+    assert twigs(tree, plenty).trunk.triangles == THICK.triangles
+    tight, both = TwigSettings(trunk_triangles=20), TwigSettings(trunk_triangles=20, thinnest=1e-6)
+    left = twigs(tree, tight).trunk.triangles  # the budget asks for more than the thinnest
+    assert twigs(tree, both).trunk.triangles == left < tree.trunk.triangles
+
+
 def test_without_foliage_nothing_moves():
     tree = tree_of(together(THICK, *forest(3)), leaves=0)
     assert twigs(tree, TwigSettings(trunk_triangles=10)) is tree
@@ -119,8 +128,14 @@ def test_without_foliage_nothing_moves():
 
 @pytest.mark.parametrize(
     "settings",
-    [TwigSettings(trunk_triangles=0), TwigSettings(radius=2), TwigSettings(detail=0), TwigSettings(length=-1)],
-    ids=["trunk_triangles", "radius", "detail", "length"],
+    [
+        TwigSettings(trunk_triangles=0),
+        TwigSettings(radius=2),
+        TwigSettings(thinnest=-0.1),
+        TwigSettings(detail=0),
+        TwigSettings(length=-1),
+    ],
+    ids=["trunk_triangles", "radius", "thinnest", "detail", "length"],
 )
 def test_settings_out_of_range(settings, request):
     with pytest.raises(SettingsError, match=rf"\[twigs\] {request.node.callspec.id} is"):
