@@ -21,9 +21,10 @@ from synthetic import quad
 import treebake
 from treebake.asset import Asset, Level, Manifest, indirect_bytes, read_asset, read_indirect, write_asset
 from treebake.asset.extras import Extras, extras_schema
-from treebake.asset.indirect import IMAGES, TABLES, write_indirect
+from treebake.asset.indirect import IMAGES, TABLES, indirect_extras
 from treebake.errors import AssetError, WorkspaceError
 from treebake.formats.gltf_file import GltfFile
+from treebake.glb import write_glb
 from treebake.images import read_image
 from treebake.lookup import LIST_BITS
 from treebake.meshes import read_mesh
@@ -347,7 +348,7 @@ def test_keys_of_a_newer_treebake_are_passed_over(oak: Path) -> None:
 
 def indirect_glb(folder: Path, **changes: object) -> Path:
     """A GLB of the indirect textures, some of them changed."""
-    write_indirect(folder / "oak.glb", [], replace(layers(), **changes))
+    write_glb(folder / "oak.glb", [], {"treebake": indirect_extras(replace(layers(), **changes))})
     return folder / "oak.glb"
 
 
