@@ -116,14 +116,9 @@ def test_the_thinnest_move_even_within_the_budget():
     tree = tree_of(together(THICK, *forest(3)))
     plenty = TwigSettings(trunk_triangles=10**6, thinnest=0.05)
     assert twigs(tree, plenty).trunk.triangles == THICK.triangles
-<<<<<<< HEAD
-    few = TwigSettings(trunk_triangles=THICK.triangles, thinnest=1e-6)  # the budget asks for more
-    assert twigs(tree, few).trunk.triangles == THICK.triangles
-=======
     tight, both = TwigSettings(trunk_triangles=20), TwigSettings(trunk_triangles=20, thinnest=1e-6)
     left = twigs(tree, tight).trunk.triangles  # the budget asks for more than the thinnest
     assert twigs(tree, both).trunk.triangles == left < tree.trunk.triangles
->>>>>>> levels
 
 
 def test_without_foliage_nothing_moves():
