@@ -35,6 +35,7 @@ class Runner:
         self.source = cache(self._source)
         self.asset = cache(self._asset)
         self.scores = cache(self._scores)
+        self.walked: dict[str, Any] = {}  # what `verify --forest` told
 
     def treebake(self, *arguments: object, allowed: tuple[int, ...] = (0,)) -> Any:
         """Run one command and return its JSON result."""

@@ -13,6 +13,7 @@ from treebake.images import encode_png, to_srgb
 from treebake.verify.approach import Change
 from treebake.verify.walk import Frame, Walk
 
+_SUMS = ("speed_up_worst", "speed_up_mean", "worst", "mean", "flip_ratio")
 _COLUMNS = (  # heading, figure, format
     ("trees", "trees", "d"),
     ("ms", "milliseconds", ".1f"),
@@ -28,11 +29,7 @@ def forest_facts(found: Walk, changes: Mapping[str, Sequence[Change]]) -> dict[s
     """Everything as plain values for JSON. changes: of each species' ladder."""
     return {
         "renderer": found.renderer,
-        "speed_up_worst": round(found.speed_up_worst, 3),
-        "speed_up_mean": round(found.speed_up_mean, 3),
-        "worst_milliseconds": round(found.worst, 3),
-        "mean_milliseconds": round(found.mean, 3),
-        "flip_ratio": round(found.flip_ratio, 5),
+        **_rounded({name: getattr(found, name) for name in _SUMS}),
         "gpu_bytes": found.gpu_bytes,
         "frames": [_rounded(asdict(frame)) for frame in found.frames],
         "changes": {name: [_rounded(asdict(change)) for change in each] for name, each in changes.items()},
@@ -45,13 +42,13 @@ def format_forest(found: Walk, changes: Mapping[str, Sequence[Change]]) -> str:
     rows += [[str(number), *_cells(frame)] for number, frame in enumerate(found.frames)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-    lines += [
-        "",
-        f"worst frame {found.worst:.1f} ms, mean {found.mean:.1f} ms; times the source's speed: worst frame "
-        f"{found.speed_up_worst:.1f}, mean {found.speed_up_mean:.1f} ({found.renderer})",
-        f"FLIP / floor(1 px), mean of the compared frames: {found.flip_ratio:.3f}",
-        f"bytes on the graphics card, all rungs of all species: {found.gpu_bytes:,}",
-    ]
+    lines += ["", f"worst frame {found.worst:.1f} ms, mean {found.mean:.1f} ms ({found.renderer})"]
+    if found.speed_up_worst and found.speed_up_mean:
+        lines += [
+            f"times as fast as the source: worst frame {found.speed_up_worst:.1f}, mean {found.speed_up_mean:.1f}",
+            f"FLIP / floor(1 px), mean of the compared frames: {found.flip_ratio or 0:.3f}",
+        ]
+    lines += [f"bytes on the graphics card, all rungs of all species: {found.gpu_bytes:,}"]
     for name, each in changes.items():
         lines += [
             f"{name}, {change.nearer} to {change.farther} at {change.height} px: largest step {change.step:.2f} times "
@@ -66,9 +63,10 @@ def write_forest_report(found: Walk, changes: Mapping[str, Sequence[Change]], fo
 
     Raises WorkspaceError where the folder cannot be written.
     """
-    with atomic(folder / "forest.png") as file:
+    if found.samples:
         rows = [np.concatenate([to_srgb(picture) for picture in pair], axis=1) for pair in found.samples]
-        file.write(encode_png(np.concatenate(rows)))
+        with atomic(folder / "forest.png") as file:
+            file.write(encode_png(np.concatenate(rows)))
     with atomic(folder / "forest.json") as file:
         file.write((json.dumps(forest_facts(found, changes), indent=2) + "\n").encode())
 

@@ -23,7 +23,8 @@ from treebake.verify.path import path, view_of
 from treebake.verify.stands import Kind, Trees, seen, stands
 
 _TRIMMED = 0.05  # of the frames, the slowest, which the worst frame is not looked for among ([J00] 4)
-_REPEATS = 3  # times that a frame is drawn for its time, of which the median counts
+_REPEATS = 3  # times that a frame is drawn for its time
+_LONG = 1.0  # seconds, of drawing a frame, after which it is not drawn again
 _NEAREST = 0.02  # depth that is seen, in the radius of the smallest tree
 
 
@@ -35,7 +36,7 @@ class WalkSettings:
     height: int = 480  # pixels, 64 to 4096
     field_of_view: float = 45.0  # degrees from top to bottom, 10 to 120
     frames: int = 24  # of the path, half walked and half flown, 2 or more
-    compared: int = 8  # of these frames, evenly spread, in which the source is drawn too, 1 or more
+    compared: int = 8  # of these frames, evenly spread, in which the source is drawn too, 0 or more
 
 
 @dataclass(frozen=True)
@@ -60,17 +61,17 @@ class Walk:
 
     worst: the slowest frame's time without the slowest 5 %, milliseconds; speed_up_worst: the source's over ours, each
     at its worst, of the compared frames; speed_up_mean: of their mean times. flip_ratio: mean FLIP over the mean
-    floor. gpu_bytes: of all rungs of all species. sample: the compared frame that differs most, source and ours, (h, w,
-    3) float32 linear.
+    floor. None where no frame was compared. gpu_bytes: of all rungs of all species. samples: the compared frames that
+    differ most, source and ours, (h, w, 3) float32 linear.
     """
 
     renderer: str
     frames: tuple[Frame, ...]
     worst: float
     mean: float
-    speed_up_worst: float
-    speed_up_mean: float
-    flip_ratio: float
+    speed_up_worst: float | None
+    speed_up_mean: float | None
+    flip_ratio: float | None
     gpu_bytes: int
     samples: tuple[tuple[Floats, Floats], ...]
 
@@ -81,10 +82,12 @@ def walk(
     sources: Mapping[str, Mesh],
     settings: WalkSettings,
     progress: Callable[[int, int], None] | None = None,
+    along: Forest | None = None,
 ) -> Walk:
     """Draw the frames of the path. O(frames x trees x faces).
 
-    assets, sources: of each species of the forest. Raises AssetError where an asset has no ladder, SettingsError where
+    assets, sources: of each species of the forest. along: another forest of the same species, whose path is walked.
+    Raises AssetError where an asset has no ladder, SettingsError where
     a source is missing or a setting is out of range, and GraphicsError.
     """
     _check(settings)
@@ -114,7 +117,7 @@ def walk(
         theirs, exact = ([alone(sources[name], cut) for name in forest.names] for cut in (False, True))
         scene = stack.enter_context(closing(Scene((settings.width, settings.height))))
         return _Walker(forest, ours, theirs, exact, scene, settings).go(
-            sum(rung.gpu_bytes for ladder in ladders for rung in ladder), progress
+            along or forest, sum(rung.gpu_bytes for ladder in ladders for rung in ladder), progress
         )
 
 
@@ -124,7 +127,7 @@ def _check(settings: WalkSettings) -> None:
         ("height", 64 <= settings.height <= 4096, "64 to 4096"),
         ("field_of_view", 10 <= settings.field_of_view <= 120, "10 to 120"),
         ("frames", settings.frames >= 2, "2 or more"),
-        ("compared", 1 <= settings.compared <= settings.frames, "1 to frames"),
+        ("compared", 0 <= settings.compared <= settings.frames, "0 to frames"),
     )
     check("walk", settings, rules)
 
@@ -140,11 +143,10 @@ class _Walker:
     scene: Scene
     settings: WalkSettings
 
-    def go(self, gpu_bytes: int, progress: Callable[[int, int], None] | None) -> Walk:
+    def go(self, along: Forest, gpu_bytes: int, progress: Callable[[int, int], None] | None) -> Walk:
         settings, trees = self.settings, Trees.of(self.forest, self.ours)
         reach = float(trees.radii.max(initial=1.0))
-        heights = 2 * trees.radii
-        eyes = path(self.forest, heights, reach, settings.frames, settings.field_of_view)
+        eyes = path(along, 2 * Trees.of(along, self.ours).radii, reach, settings.frames, settings.field_of_view)
         compared = set(np.linspace(0, settings.frames - 1, settings.compared).round().astype(int).tolist())
         frames, samples = [], []
         floors: list[float] = []
@@ -171,9 +173,9 @@ class _Walker:
             frames=tuple(frames),
             worst=_worst(mine),
             mean=float(mine.mean()),
-            speed_up_worst=_worst(pairs[:, 0]) / _worst(pairs[:, 1]),
-            speed_up_mean=float(pairs[:, 0].mean() / pairs[:, 1].mean()),
-            flip_ratio=flips / sum(floors) if any(floors) else 0.0,
+            speed_up_worst=_worst(pairs[:, 0]) / _worst(pairs[:, 1]) if len(pairs) else None,
+            speed_up_mean=float(pairs[:, 0].mean() / pairs[:, 1].mean()) if len(pairs) else None,
+            flip_ratio=flips / sum(floors) if any(floors) else None,
             gpu_bytes=gpu_bytes,
             samples=tuple((over(source, SKY), over(ours, SKY)) for _, (source, ours) in worst),
         )
@@ -208,14 +210,13 @@ class _Walker:
         return compared, (true, ours, floor)
 
     def timed(self, view: View, drawn: Sequence[Stand]) -> float:
-        """Milliseconds of the median of some drawings, after one that compiles what has to be."""
-        self.scene.draw(view, drawn)
-        times = []
-        for _ in range(_REPEATS):
+        """Milliseconds of a drawing; of a quick one the median of several, after one that compiles what has to be."""
+        times: list[float] = []
+        while len(times) <= _REPEATS and sum(times) < _LONG:
             start = time.perf_counter()
             self.scene.draw(view, drawn)
             times.append(time.perf_counter() - start)
-        return 1000 * median(times)
+        return 1000 * median(times[1:] or times)
 
 
 def _worst(times: Doubles) -> float:
