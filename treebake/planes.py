@@ -58,7 +58,7 @@ def displacement(leaves: Leaves, clusters: Clusters) -> float:
     normals = clusters.normals[clusters.labels]
     distances = np.einsum("ij,ij->i", normals, leaves.centers) + clusters.offsets[clusters.labels]
     turned = leaves.radii**2 / 4 * np.einsum("ij,ijk,ik->i", normals, misfit(leaves), normals)
-    return float(np.sqrt(np.average(distances**2 + turned, weights=leaves.areas)))
+    return float(np.sqrt(np.average(distances**2 + np.maximum(turned, 0), weights=leaves.areas)))
 
 
 def summed(values: Doubles, labels: Ints, count: int, weight: Doubles | None = None) -> Doubles:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from treebake.asset import Asset, read_asset
+from treebake.asset import Asset, LeftOut, Rung, read_asset
 from treebake.model import Forest, Mesh, Tree
 from treebake.stages.cluster import cluster_statistics
 
@@ -84,11 +84,17 @@ def of_asset(folder: Path) -> Facts:
         "made_by": manifest.generator,
         "source_triangles": manifest.source.triangles,
         "levels": [{**asdict(level), "representations": "+".join(level.representations)} for level in manifest.levels],
+        **({"ladder": [_rung(rung) for rung in manifest.ladder]} if manifest.ladder else {}),
+        **({"left_out": [_rung(each) for each in manifest.left_out]} if manifest.left_out else {}),
         **({"indirect": asdict(manifest.indirect)} if manifest.indirect else {}),
         **({"slicings": asdict(manifest.slicings)} if manifest.slicings else {}),
         **({"views": {**asdict(manifest.views), "pictures": len(manifest.views.pictures)}} if manifest.views else {}),
         "textures": [{**asdict(image), "size": "x".join(map(str, image.size))} for image in manifest.textures],
     }
+
+
+def _rung(rung: Rung | LeftOut) -> Facts:
+    return {**asdict(rung), "level": "" if rung.level is None else rung.level}
 
 
 def of_forest(path: Path, forest: Forest, assets: Sequence[Asset]) -> Facts:
