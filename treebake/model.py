@@ -412,8 +412,8 @@ class LeafCards:
 
     @property
     def triangles(self) -> int:
-        """Two for each leaf."""
-        return 2 * len(self.cards)
+        """One for each leaf."""
+        return len(self.cards)
 
 
 Layers = IndirectTextures | LeafCards | Slicings | Views  # what a shader of ours draws

@@ -1,4 +1,4 @@
-"""Draws each leaf as a card of its own, where it is and as it is turned."""
+"""Draws each leaf on a card of its own, where it is and as it is turned."""
 
 import moderngl
 import numpy as np
@@ -11,7 +11,6 @@ from treebake.model import LeafCards
 
 _HINT = "bake with a smaller [indirect] leaf_texels"
 _ROW = 1024  # cards in a row of the table
-_QUAD = np.array([0, 2, 1, 1, 2, 3], np.int32)
 
 
 class LeafQuads:
@@ -29,8 +28,6 @@ class LeafQuads:
             "leaf_color": upload_compressed(gl, leaves.leaf_color, _HINT, srgb=True),
             "leaf_normal": upload_compressed(gl, leaves.leaf_normal, _HINT, srgb=False),
         }
-        corners = 4 * np.arange(count, dtype=np.int32)[:, None] + _QUAD
-        self._indices = gl.buffer(np.ascontiguousarray(corners))
 
     def draw(self, view: View, onto: moderngl.Framebuffer, grove: Grove = ONE_TREE) -> None:
         """Draw all leaves of all trees into `onto`, the framebuffer in use; depth is tested and written."""
@@ -45,12 +42,12 @@ class LeafQuads:
     @property
     def triangles(self) -> int:
         """Of one tree."""
-        return 2 * self._count
+        return self._count
 
     def release(self) -> None:
         """Free everything on the graphics card."""
-        for resource in (*self._textures.values(), self._indices):
-            resource.release()
+        for texture in self._textures.values():
+            texture.release()
 
     def _draw(self, shader: moderngl.Program, view: View, grove: Grove) -> None:
         if not len(grove.turns):
@@ -65,5 +62,5 @@ class LeafQuads:
                 shader[name] = value
         self._gl.disable(self._gl.CULL_FACE)
         rows = grove.instances(view.eye, np.zeros(3))[::-1]  # the nearest first: it hides most of the others
-        with instanced(self._gl, shader, rows, indices=self._indices) as array:
-            array.render(moderngl.TRIANGLES)
+        with instanced(self._gl, shader, rows) as array:
+            array.render(moderngl.TRIANGLES, vertices=3 * self._count)

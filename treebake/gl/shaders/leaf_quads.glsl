@@ -30,6 +30,10 @@ const float SPACING = 1.0;
 
 const float MOST_LOD = 4.0;  // mips keep the images of the leaves apart so far
 
+bool on_card(vec2 at) {
+    return all(lessThanEqual(abs(at), vec2(1.0)));
+}
+
 vec2 in_image(vec2 at, vec2 inner) {
     vec2 unit = clamp(at * 0.5 + 0.5, 0.0, 1.0);
     vec2 size = abs(image.zw);
@@ -58,12 +62,13 @@ void main() {
     vec2 dy = dFdy(place);
     int passed = 0;
     for (int i = 0; i < 4; ++i) {
-        vec2 at = in_image(place + SAMPLES[i].x * dx + SAMPLES[i].y * dy, inner);
-        if (twig || textureLod(leaf_color, at, lod).a >= threshold) passed |= 1 << i;
+        vec2 at = place + SAMPLES[i].x * dx + SAMPLES[i].y * dy;
+        float alpha = textureLod(leaf_color, in_image(at, inner), lod).a;
+        if (on_card(at) && (twig || alpha >= threshold)) passed |= 1 << i;
     }
     gl_SampleMask[0] = passed;
 #else
-    if (!twig && texel.a < threshold) discard;
+    if (!on_card(place) || !twig && texel.a < threshold) discard;
 #endif
     vec2 bump = textureLod(leaf_normal, uv, lod).rg * 2.0 - 1.0;
     bump.x *= sign(image.z);

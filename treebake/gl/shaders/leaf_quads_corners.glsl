@@ -1,4 +1,5 @@
-// Places the cards of leaves, four corners each, straight from their table.
+// Places the cards of leaves straight from their table, each in the corner of one triangle: on screen leaves are so small
+// that a second triangle would cost more than the fragments beside the card.
 #ifdef VERTEX_STAGE
 uniform mat4 to_clip;
 uniform vec3 eye;
@@ -13,11 +14,12 @@ flat out vec4 thresholds;  // of the mips 1 to 4
 flat out vec4 axes[3];     // right, down, away of the image, unit, in the world; the last one's w: whether it is a twig
 flat out vec2 texels;      // of the image, across and down, to a unit of the world
 flat out float side;       // -1 where the back is seen
-out vec2 place;            // on the card, -1..1
+out vec2 place;            // on the card, -1..1, and beyond it
 
 void main() {
-    int number = gl_VertexID / 4;
-    place = vec2(gl_VertexID & 1, gl_VertexID >> 1 & 1) * 2.0 - 1.0;
+    int number = gl_VertexID / 3;
+    int corner = gl_VertexID % 3;
+    place = vec2(corner == 1 ? 3.0 : -1.0, corner == 2 ? 3.0 : -1.0);
     ivec2 at = ivec2(3 * (number & 1023), number >> 10);
     vec4 middle = texelFetch(cards, at, 0);
     vec4 right = texelFetch(cards, at + ivec2(1, 0), 0);
