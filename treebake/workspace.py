@@ -37,6 +37,7 @@ _GROUND = (
     "checks",
     "placements",
     "lookup",
+    "leaf_cards",
     "images",
     "compression",
     "pictures",
@@ -243,7 +244,8 @@ def _class(name: str) -> Any:
 @cache
 def _code(module: str) -> str:
     """The version of a stage: a digest of its own file or package, and of what every stage builds on."""
-    own = _PACKAGE.joinpath(*module.split(".")[1:3])  # treebake.stages.NAME, with what is below it
+    _, room, *rest = module.split(".")
+    own = _PACKAGE.joinpath(room, *(rest[:1] if room == "stages" else ()))  # of the verifier all
     parts = [own, *(_PACKAGE / name for name in _GROUND)]
     roots = [root for part in parts for root in (part, part.with_suffix(".py"))]
     files = [file for root in roots for file in ([root] if root.is_file() else sorted(root.rglob("*")))]
