@@ -19,7 +19,18 @@ from stems import empty, stem
 from synthetic import quad
 
 import treebake
-from treebake.asset import Asset, Level, Manifest, indirect_bytes, read_asset, read_indirect, write_asset
+from treebake.asset import (
+    Asset,
+    LeftOut,
+    Level,
+    Manifest,
+    Rung,
+    indirect_bytes,
+    read_asset,
+    read_indirect,
+    write_asset,
+    write_ladder,
+)
 from treebake.asset.extras import Extras, extras_schema
 from treebake.asset.indirect import IMAGES, TABLES, indirect_extras
 from treebake.errors import AssetError, WorkspaceError
@@ -95,7 +106,7 @@ def sliced() -> SlicedFoliage:
 def impostor() -> Impostor:
     """Two views of three leaves."""
     tree = leaf_tree([(0, 0, 0), (0.3, 0.1, 0.05), (0, 1, 0)])
-    return views([tree], ViewSettings(count=2, layers=1, texels=16, supersample=1, gutter=1))[0]
+    return views([tree], ViewSettings(layout="ring", count=2, layers=1, texels=16, supersample=1, gutter=1))[0]
 
 
 def baked(name: str = "oak", *, foliage: bool = True, trunk: bool = True) -> BakedTree:
@@ -201,7 +212,7 @@ def test_the_folder_holds_what_the_manifest_names_and_nothing_else(oak: Path) ->
     named = {level.file for level in manifest.levels} | {image.file for image in manifest.textures}
     assert manifest.slicings is not None
     assert manifest.views is not None
-    named |= {manifest.indirect.file, manifest.slicings.file, manifest.views.file}
+    named |= {manifest.file, manifest.indirect.file, manifest.slicings.file, manifest.views.file}
     found = {path.relative_to(oak).as_posix() for path in oak.rglob("*") if path.is_file()}
     assert found == named | {"manifest.json"}
 
@@ -237,7 +248,7 @@ def test_a_tree_without_leaves(tmp_path: Path) -> None:
     assert (level.representations, level.billboards, level.foliage_triangles) == (("trunk",), 0, 0)
     assert manifest.textures == ()
     assert (manifest.indirect, manifest.slicings, manifest.views) == (None, None, None)
-    assert not (tmp_path / "oak.glb").exists()
+    assert read_mesh(tmp_path / manifest.file).nodes == ("trunk",)
     assert not (tmp_path / "textures").exists()
 
 
@@ -528,7 +539,7 @@ def test_a_file_that_is_none_or_cut_off_is_one_line(tmp_path: Path) -> None:
 def test_a_level_for_each_height(height: int, level: int) -> None:
     levels = tuple(Level(f"oak_LOD{i}.glb", ("cloud",), 1, 2, 0, 100, h) for i, h in enumerate((300, 50, 20)))
     source = example_manifest().source
-    asset = Asset(Path("oak"), Manifest(1, "treebake", "oak", source, levels, None, ()))
+    asset = Asset(Path("oak"), Manifest(1, "treebake", "oak", source, "oak.glb", levels, ()))
     assert asset.level_for(height) == Path(f"oak/oak_LOD{level}.glb")
 
 
@@ -552,7 +563,7 @@ def further(manifest: Manifest) -> list[str]:
     """The files of what is not a level."""
     entries = manifest.indirect, manifest.slicings, manifest.views
     assert None not in entries
-    return [entry.file for entry in entries if entry]
+    return [manifest.file, *(entry.file for entry in entries if entry)]
 
 
 # ---- FORMAT.md -----------------------------------------------------------------------------------------------------
@@ -560,7 +571,7 @@ def further(manifest: Manifest) -> list[str]:
 
 def test_the_example_is_a_manifest(tmp_path: Path) -> None:
     told = example_manifest()
-    files = [level.file for level in told.levels] + [image.file for image in told.textures] + further(told)
+    files = [each.file for each in (*told.levels, *told.textures, *told.ladder, *told.left_out)] + further(told)
     for file in files:
         (tmp_path / file).parent.mkdir(exist_ok=True)
         (tmp_path / file).touch()
@@ -589,6 +600,9 @@ def keys(value: object, prefix: str = "") -> set[str]:
 
 
 def test_every_key_is_described_and_no_other(oak: Path) -> None:
+    write_ladder(
+        oak, [Rung("cloud", "oak_LOD0.glb", 0, 0, 0.9, 4, 100)], [LeftOut("views", "oak_views.glb", None, "")], [0]
+    )
     rows = re.findall(r"^\| `([^`]+)` \|", section("manifest.json"), re.MULTILINE)
     assert set(rows) == keys(json.loads((oak / "manifest.json").read_text()))
     assert len(rows) == len(set(rows))

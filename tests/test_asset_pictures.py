@@ -293,7 +293,7 @@ def test_the_folder_holds_what_the_manifest_names_and_nothing_else(tmp_path: Pat
     assert manifest.slicings is not None
     assert manifest.views is not None
     named = {level.file for level in manifest.levels} | {image.file for image in manifest.textures}
-    named |= {manifest.slicings.file, manifest.views.file, "manifest.json"}
+    named |= {manifest.file, manifest.slicings.file, manifest.views.file, "manifest.json"}
     assert named == {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
 
 

@@ -13,8 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gltf_validate import assert_valid
 
 from treebake import cli, pipeline
+from treebake.asset import files_of, read_asset
+from treebake.formats.gltf_file import GltfFile
 from treebake.glb import write_glb
 from treebake.images import encode_png
 from treebake.meshes import read_mesh
@@ -25,7 +28,8 @@ COMMANDS = {"grow", "cluster", "textures", "bake", "verify", "forest", "inspect"
 COARSE = ["--set", "textures.atlas=128", "--set", "textures.supersample=1"]
 COARSE += [part for table in ("slicings", "views") for part in ("--set", f"{table}.texels=16")]
 COARSE += [part for table in ("slicings", "views") for part in ("--set", f"{table}.supersample=1")]
-COARSE += ["--set", "levels.enabled=false"]  # tests/test_levels.py bakes them
+COARSE += ["--set", "views.side=3"]
+COARSE += ["--set", "levels.enabled=false", "--set", "ladder.enabled=false"]  # but where a test is about them
 NO_PICTURES = ["--set", "slicings.enabled=false", "--set", "views.enabled=false"]
 TEXTURES = [*COARSE, *NO_PICTURES]
 
@@ -254,7 +258,7 @@ def test_slicings_and_views_run_again_by_their_own_settings(
     trunk = ("--set", "slicing_trunk.triangles=100")  # the budget of both their twigs and their trunk
     rest = ["split", "twigs", "cluster", "indirect_cluster", "views", "indirect", "slicings", "billboards", "trunk"]
     assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk)) == rest
-    fewer = ("--set", "slicings.slices=2", "--set", "views.count=2")
+    fewer = ("--set", "slicings.slices=2", "--set", "views.side=2")
     rest = ["split", "twigs", "cluster", "indirect_cluster", "indirect", "slicing_twigs", "slicing_trunk"]
     assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk, *fewer)) == [*rest, "billboards", "trunk"]
 
@@ -449,7 +453,7 @@ def test_verify_writes_a_report_and_passes(asset: Path, tree: Path, treebake: Ca
     assert result.code == 0, result.err
     facts = json.loads(result.out)
     assert facts["report"] == str(asset / "report")
-    assert list(facts["representations"]) == ["cloud", "cloud_same_bytes", "indirect", "slicings", "views"]
+    assert list(facts["representations"]) == ["cloud", "cloud_same_bytes", "indirect", "leaves", "slicings", "views"]
     for name, found in facts["representations"].items():
         assert [row["height"] for row in found["heights"]] == [32]
         assert found["close_up"]["height"] == CLOSE_UP
@@ -465,7 +469,7 @@ def test_verify_judges_the_representations_asked_for(asset: Path, tree: Path, tr
     result = treebake("verify", asset, "--source", tree, *SMALL, "--set", 'verify.representations=["indirec"]')
     assert (result.code, len(result.lines)) == (2, 1)
     assert (
-        "has no indirec, only cloud, cloud_same_bytes, indirect, slicings, views; change verify.representations"
+        "has no indirec, only cloud, cloud_same_bytes, indirect, leaves, slicings, views; change verify.representations"
         in result.err
     )
 
@@ -493,7 +497,7 @@ def test_missed_threshold_is_named_and_exits_1(asset: Path, tree: Path, treebake
     result = treebake("verify", asset, "--source", tree, *SMALL, "-q", "--threshold", "ssim_min.32=1.01")
     assert result.code == 1
     assert [line.partition(": ssim at 32 px is ")[0] for line in result.lines] == [
-        f"treebake: missed: {name}" for name in ("cloud", "indirect", "slicings", "views")
+        f"treebake: missed: {name}" for name in ("cloud", "indirect", "leaves", "slicings", "views")
     ]
 
 
@@ -530,8 +534,10 @@ def test_load_settings_are_for_the_source_alone(tmp_path: Path, tree: Path, tree
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ((), "name an ASSET folder"),
-        (("asset", "--candidate", "file.glb"), "either asset or --candidate file.glb"),
+        ((), "name one of: an ASSET folder"),
+        (("asset", "--candidate", "file.glb"), "name one of: an ASSET folder"),
+        (("asset", "--forest", "scene.glb"), "name one of: an ASSET folder"),
+        (("asset", "--source", "other.glb"), "an asset or a candidate has one --source"),
         (("asset", "--threshold", "flip=abc"), "flip=abc: its bound is no number"),
         (("asset", "--thresholds", "flip=1"), "--threshold"),
     ],
@@ -573,20 +579,21 @@ def test_the_source_is_never_replaced(tmp_path: Path, tree: Path, treebake: Call
 
 
 @pytest.mark.parametrize(
-    ("table", "file", "image"),
+    ("table", "image"),
     [
-        ("indirect", "tree.glb", "tree_placements.png"),
-        ("slicings", "tree_slicings.glb", "tree_slicings_coverage.png"),
-        ("views", "tree_views.glb", "tree_views_coverage.png"),
+        ("indirect", "tree_placements.png"),
+        ("slicings", "tree_slicings_coverage.png"),
+        ("views", "tree_views_coverage.png"),
     ],
 )
 def test_all_but_the_cloud_can_be_left_out(
-    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome], table: str, file: str, image: str
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome], table: str, image: str
 ) -> None:
     assert treebake("bake", tree, "-o", tmp_path, *COARSE, "--set", f"{table}.enabled=false").code == 0
     manifest = json.loads((tmp_path / "tree/manifest.json").read_text())
     assert [name for name in ("indirect", "slicings", "views") if manifest[name] is None] == [table]
-    assert not (tmp_path / "tree" / file).exists()
+    pictures = {f"tree_{name}.glb" for name in ("slicings", "views") if name != table}
+    assert {path.name for path in (tmp_path / "tree").glob("*.glb")} == {"tree.glb", "tree_LOD0.glb", *pictures}
     images = {path.name for path in (tmp_path / "tree/textures").iterdir()}
     others = {"tree_placements.png", "tree_slicings_coverage.png", "tree_views_coverage.png"} - {image}
     assert others < images
@@ -633,3 +640,106 @@ def test_levels_are_baked_verified_and_baked_again(
     names = ("--set", 'split.trunk_materials=["foliage"]', "--set", 'split.foliage_materials=["bark"]')
     assert treebake("bake", tmp_path / "tree/tree_LOD1.glb", "-o", tmp_path / "next", *TEXTURES, *names).code == 0
     assert read_mesh(tmp_path / "next/tree_LOD1/tree_LOD1_LOD0.glb").morph is None
+
+
+# ---- the ladder ----------------------------------------------------------------------------------------------------
+
+LADDER = [
+    part
+    for assignment in (
+        "ladder.enabled=true",
+        "ladder.heights=[64, 32]",
+        "ladder.elevations=[0]",
+        "ladder.azimuths=1",
+    )
+    for part in ("--set", assignment)
+]
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """Everything in a work folder but the stages' results."""
+    found = (path for path in folder.rglob("*") if path.is_file() and "stages" not in path.parts)
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+
+
+def test_a_ladder_is_measured_once_and_ranks_all_that_is_there(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    result = treebake("bake", tree, "-o", tmp_path, *COARSE, *LADDER)
+    assert result.code == 0, result.err
+    manifest = read_asset(tmp_path / "tree").manifest
+    assert [rung.min_height for rung in manifest.ladder] in ([0], [32, 0])
+    ranked = {(one.representation, one.level) for one in (*manifest.ladder, *manifest.left_out)}
+    assert ranked == {("cloud", 0), *((name, None) for name in ("leaves", "indirect", "slicings", "views"))}
+    first = files(tmp_path / "tree")
+    assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *LADDER))[-1] == "ladder"
+    assert files(tmp_path / "tree") == first
+
+
+def test_levels_are_told_down_to_which_height_each_is_good(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    result = treebake("bake", tree, "-o", tmp_path, *TEXTURES, *LEVELS, *LADDER)
+    assert result.code == 0, result.err
+    heights = [level.min_height for level in read_asset(tmp_path / "tree").manifest.levels]
+    assert heights == sorted(heights, reverse=True)
+    assert set(heights) <= {64, 32, 0}
+    assert heights[-1] == 0
+    nodes = GltfFile(tmp_path / "tree/tree.glb").json["nodes"]
+    covered = [node["extras"]["MSFT_screencoverage"] for node in nodes if "extras" in node]
+    assert covered == [[height / 1080 for height in heights]] * 2  # of cloud and trunk
+    assert_valid(tmp_path / "tree/tree.glb")
+
+
+@pytest.mark.xfail(strict=True, reason="one is chosen that was not measured, where all were seen at the height above")
+def test_where_nothing_is_invisible_there_is_a_ladder_too(tmp_path: Path, treebake: Callable[..., Outcome]) -> None:
+    treebake("grow", "shrub", "--leaves", 60, "-o", tmp_path / "shrub.glb")
+    few = ("--billboards", 8, "--set", "views.layers=1", "--set", "views.side=2", "--set", "ladder.heights=[96, 64]")
+    one = ("--set", "indirect.enabled=false", "--set", "slicings.enabled=false")
+    result = treebake("bake", tmp_path / "shrub.glb", "-o", tmp_path, *COARSE, *LADDER, *few, *one)
+    assert result.code == 0, result.err
+    ladder = read_asset(tmp_path / "shrub").manifest.ladder
+    assert all(rung.flip_ratio > 1 for rung in ladder)
+
+
+@pytest.mark.parametrize("kept", ["leaves", "cloud", "slicings", "views"])
+def test_for_one_height_one_representation_is_kept(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome], kept: str
+) -> None:
+    tables = {"leaves": "indirect", "slicings": "slicings", "views": "views"}
+    others = [part for name, table in tables.items() if name != kept for part in ("--set", f"{table}.enabled=false")]
+    arguments = ("bake", tree, "-o", tmp_path, *COARSE, *others, "--height", 64)
+    result = treebake(*arguments)
+    assert result.code == 0, result.err
+    asset = read_asset(tmp_path / "tree")
+    (rung,) = asset.manifest.ladder
+    assert rung.min_height == 0
+    assert asset.manifest.left_out == ()
+    assert len(asset.manifest.levels) == 1
+    entries = {name for name in tables.values() if getattr(asset.manifest, name)}
+    assert entries == {tables[rung.representation]} if rung.representation in tables else entries == set()
+    written = files(tmp_path / "tree")
+    assert set(written) == {*files_of(asset.manifest), "manifest.json"}
+    assert_valid(*(tmp_path / "tree").glob("*.glb"))
+    assert skipped(treebake(*arguments))[-1] == "budget"
+    assert files(tmp_path / "tree") == written
+
+
+@pytest.mark.parametrize(
+    ("caps", "says"),
+    [
+        (
+            ("--height", 64, "--bytes", 1),
+            "nothing of tree is within [budget] triangles = 0, bytes = 1; the smallest has",
+        ),
+        (("--triangles", 100), "[budget] height is 0; it must be 16 to 2048"),
+        (("--height", 8), "[budget] height is 8; it must be 16 to 2048"),
+    ],
+)
+def test_a_budget_that_cannot_be_met_is_one_line(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome], caps: tuple[object, ...], says: str
+) -> None:
+    result = treebake("bake", tree, "-o", tmp_path, *TEXTURES, *caps, "-q")
+    assert result.code == 2
+    (error,) = (line for line in result.lines if not line.startswith("treebake: warning: "))
+    assert error.startswith(f"treebake: error: {says}")

@@ -29,7 +29,8 @@ from treebake.model import BakedTree, BillboardCloud, Forest, Material
 from treebake.stages.scatter import ForestSettings, scatter
 
 QUICK = ["--atlas", "64"]
-for setting in ("textures.supersample=1", *(f"{kind}.enabled=false" for kind in ("indirect", "slicings", "views"))):
+UNUSED = ("indirect", "slicings", "views", "ladder")
+for setting in ("textures.supersample=1", *(f"{kind}.enabled=false" for kind in UNUSED)):
     QUICK += ["--set", setting]
 
 

@@ -23,6 +23,7 @@ LAYERS = {
         "checks",
         "placements",
         "lookup",
+        "leaf_cards",
         "resources",
         "files",
         "tubes",

@@ -35,7 +35,7 @@ def test_foliage_keeps_its_coverage_at_256_pixels(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     source = tree(name)
     options = ["--config", CONFIGS / f"{source.stem}.toml", "--set", 'verify.representations=["cloud"]', "-q"]
-    options += [part for table in ("slicings", "views") for part in ("--set", f"{table}.enabled=false")]
+    options += [part for table in ("slicings", "views", "ladder") for part in ("--set", f"{table}.enabled=false")]
     assert treebake(monkeypatch, "bake", source, "-o", tmp_path, *options) == 0
     bounds = ("--threshold", "foliage_coverage_min=0.95", "--threshold", "foliage_coverage_max=1.05")
     code = treebake(monkeypatch, "verify", tmp_path / source.stem, "--source", source, "--quick", *options, *bounds)

@@ -56,7 +56,7 @@ def asked(*names: str) -> VerifySettings:
 
 def test_an_asset_is_drawn_as_all_that_it_is(tmp_path: Path) -> None:
     found = representations(published(tmp_path), HEIGHTS, ALL)
-    assert list(found) == ["cloud", "cloud_same_bytes", "indirect"]
+    assert list(found) == ["cloud", "cloud_same_bytes", "indirect", "leaves"]
     for meshes, _ in found.values():
         assert set(meshes) == HEIGHTS
 

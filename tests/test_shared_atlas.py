@@ -18,10 +18,12 @@ QUICK = [
     item
     for assignment in (
         "indirect.enabled=false",
+        "ladder.enabled=false",
         "levels.enabled=false",
         "slicings.enabled=false",
         "textures.atlas=64",
         "textures.supersample=1",
+        'views.layout="ring"',
         "views.count=3",
         "views.layers=1",
         "views.texels=32",

@@ -22,7 +22,7 @@ from treebake.stages.views import ViewSettings, views
 from treebake.stages.views.directions import hemi_octahedron, ring
 from treebake.stages.views.support import SAMPLES, support
 
-SMALL = ViewSettings(count=4, side=3, layers=2, texels=32, atlas=512, gutter=2, supersample=2)
+SMALL = ViewSettings(layout="ring", count=4, side=3, layers=2, texels=32, atlas=512, gutter=2, supersample=2)
 LAYOUTS = pytest.mark.parametrize("layout", ["ring", "hemi"])
 SIDES = st.integers(2, 12)
 NUMBERS = st.floats(-10, 10, width=32)

@@ -426,7 +426,11 @@ def standing(*places: tuple[float, float, float, float], turns: object = 0.0) ->
     return Grove(kept, np.broadcast_to(np.asarray(turns, np.float32), len(kept)).copy())
 
 
-def test_many_trees_in_one_call_are_as_one_by_one_the_farthest_first() -> None:
+@pytest.mark.parametrize("height", [0.0, np.inf], ids=["looked into", "plain"])
+def test_many_trees_in_one_call_are_as_one_by_one_the_farthest_first(
+    monkeypatch: pytest.MonkeyPatch, height: float
+) -> None:
+    monkeypatch.setattr("treebake.gl.views.RELIEF_HEIGHT", height)  # told for all by the largest of them
     found = made(share=0.6, half=0.3)
     places = [(0.1 * i - 0.3, 0.05 * i, z, 1.0 + 0.1 * i) for i, z in enumerate((0.5, -2.0, 1.5, -0.5, 3.0))]
     turns = np.array([0.1, 2.0, 3.0, 4.0, 5.5], np.float32)
@@ -476,7 +480,9 @@ def test_the_sun_does_not_turn_with_a_tree(monkeypatch: pytest.MonkeyPatch, heig
         return replace(mesh, positions=positions, normals=normals)
 
     one, other = crown(), replace(crown(), trunk=turned(crown().trunk), foliage=turned(crown().foliage))
-    (made,), (wanted,) = ([each.views for each in views([tree], ViewSettings(texels=96))] for tree in (one, other))
+    (made,), (wanted,) = (
+        [each.views for each in views([tree], ViewSettings(layout="ring", texels=96))] for tree in (one, other)
+    )
     wanted = replace(wanted, brightness=made.brightness, exposure=made.exposure)  # fitted from other sides
     view = from_afar(10.0, 15.0, at=(0.0, 0.8, 0.0))
     seen, true = (

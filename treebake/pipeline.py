@@ -73,6 +73,8 @@ from treebake.verify import (
     Walk,
     approach,
     cameras,
+    check_budget,
+    check_ladder,
     close_ups,
     ladder,
     morphings,
@@ -145,6 +147,7 @@ def bake_textures(work: Workspace, out: Path | None, settings: Settings) -> Bake
     The asset goes to OUT/NAME, or into the work folder itself where `out` is None.
     Raises WorkspaceError where `cluster_tree` has not been run, BudgetError, GraphicsError and SettingsError.
     """
+    _check_what_comes_last(settings)
     source = _source(work)
     folder = out / source.name if out else work.folder
     _spare(Path(source.path), folder, source.name)
@@ -160,6 +163,7 @@ def bake_shared(works: Sequence[Workspace], out: Path, settings: Settings) -> li
 
     Raises what `bake_textures` raises, and SettingsError where two trees have the same name or views are not baked.
     """
+    _check_what_comes_last(settings)
     names = distinct_names(works)
     if SHARED in names:
         raise SettingsError(f"a tree is named {SHARED}, as the folder of what the trees share; rename its file")
@@ -184,6 +188,14 @@ def distinct_names(works: Sequence[Workspace]) -> list[str]:
     if twice := {name for name in names if names.count(name) > 1}:
         raise SettingsError(f"two trees are named {min(twice)}; rename one of the files: each has a folder in OUT")
     return names
+
+
+def _check_what_comes_last(settings: Settings) -> None:
+    """Refuse before the bake what would else be refused after it. Raises SettingsError."""
+    if settings.budget != BudgetSettings():
+        check_budget(settings.budget)
+    if settings.ladder.enabled:
+        check_ladder(settings.ladder)
 
 
 def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> BakedTree:

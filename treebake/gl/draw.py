@@ -122,7 +122,7 @@ class Drawing:
 
     def count(self, view: View, grove: Grove) -> None:
         """Add the fragments that some trees ask to be shaded to the framebuffer in use, which adds up."""
-        if self._parts:
+        if self._parts and len(grove.turns):
             with self._instanced(self._counter, self._buffers[:1], view, grove) as array:
                 self._counter["to_clip"] = column_major(view.to_clip)
                 for part in self._parts:

@@ -1,11 +1,11 @@
 """The proof: draws a candidate next to its source as a stock glTF client does, and measures the difference."""
 
 from treebake.verify.approach import Change, approach
-from treebake.verify.budget import BudgetSettings, smallest
+from treebake.verify.budget import BudgetSettings, check_budget, smallest
 from treebake.verify.cameras import CloseUp, cameras, close_ups
 from treebake.verify.figures import Figures
 from treebake.verify.forest_report import forest_facts, format_forest, write_forest_report
-from treebake.verify.ladder import Ladder, LadderSettings, ladder
+from treebake.verify.ladder import Ladder, LadderSettings, check_ladder, ladder
 from treebake.verify.morph import Morphing, morphings
 from treebake.verify.protocol import JUDGED, Level, Report, Sample, VerifySettings, verify
 from treebake.verify.reference import SCALE
@@ -34,6 +34,8 @@ __all__ = [
     "approach",
     "as_dict",
     "cameras",
+    "check_budget",
+    "check_ladder",
     "close_ups",
     "failures",
     "forest_facts",

@@ -43,7 +43,7 @@ def smallest(
     px). O(candidates x views (faces + pixels)). Raises SettingsError, BudgetError where nothing is within the caps,
     AssetError and GraphicsError.
     """
-    _check(settings)
+    check_budget(settings)
     costs = {candidate: cost_of(candidate.mesh, candidate.layers) for candidate in candidates(asset)}
     fitting = [one for one, cost in costs.items() if _within(cost, settings)]
     if not fitting:
@@ -71,7 +71,8 @@ def smallest(
     return Rung(best.representation, best.file, best.level, 0, round(ratios[best], 4), cost.triangles, cost.gpu_bytes)
 
 
-def _check(settings: BudgetSettings) -> None:
+def check_budget(settings: BudgetSettings) -> None:
+    """Raise SettingsError where a setting is out of range."""
     rules = (
         ("height", 16 <= settings.height <= 2048, "16 to 2048"),
         ("triangles", settings.triangles >= 0, "0 or more"),

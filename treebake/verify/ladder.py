@@ -5,10 +5,10 @@ the one to draw. Cheap is what asks for the least *work*: triangles and shaded f
 ladder does not hang on how busy the machine was. Where nothing is invisible, what differs least is drawn.
 """
 
-import itertools
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,7 @@ from treebake.verify.cost import Cost, cost_of
 from treebake.verify.metrics import flips
 from treebake.verify.reference import Reference, reference
 from treebake.verify.representations import without
+from treebake.verify.switching import FADE
 
 _HOPELESS = 1.5  # FLIP over floor(1 px) from which on the next height is not tried: a step there takes off less
 _ENTRIES = {"leaves": "indirect", "indirect": "indirect", "slicings": "slicings", "views": "views"}  # of the manifest
@@ -35,7 +36,8 @@ class LadderSettings:
     """Where representations are compared to find their switch heights."""
 
     enabled: bool = True  # measure the ladder
-    heights: tuple[int, ...] = (384, 256, 192, 128, 96, 64, 48, 32, 24, 16)  # pixels, greatest first, each 8 to 2048
+    heights: tuple[int, ...] = (384, 256, 192, 128, 96, 64, 48, 32, 24, 16)  # pixels, 8 to 2048, the greatest first,
+    # each 1.25 times the next or more: a change takes as long
     elevations: tuple[float, ...] = (0.0, 25.0, 60.0)  # degrees above the horizon, -90 to 90
     azimuths: int = 2  # evenly spaced views around the tree at each elevation, 1 or more
 
@@ -99,7 +101,7 @@ def ladder(
     source: the tree that the asset was baked from. cache, progress: as for `verify`; of heights. Raises SettingsError,
     AssetError and GraphicsError.
     """
-    _check(settings)
+    check_ladder(settings)
     found = candidates(asset)
     with ExitStack() as stack:
         drawings = [stack.enter_context(closing(Drawing(each.mesh, each.layers))) for each in found]
@@ -148,14 +150,15 @@ def _rungs(
     return tuple(rungs), tuple(left_out)
 
 
-def _check(settings: LadderSettings) -> None:
+def check_ladder(settings: LadderSettings) -> None:
+    """Raise SettingsError where a setting is out of range."""
     heights = settings.heights
-    falling = all(above > below for above, below in itertools.pairwise(heights))
+    falling = all(above >= FADE * below for above, below in pairwise(heights))
     rules = (
         (
             "heights",
             bool(heights) and falling and all(8 <= h <= 2048 for h in heights),
-            "8 to 2048, the greatest first",
+            f"8 to 2048, the greatest first, each {FADE} times the next or more",
         ),
         ("elevations", bool(settings.elevations) and all(-90 <= e <= 90 for e in settings.elevations), "-90 to 90"),
         ("azimuths", settings.azimuths >= 1, "1 or more"),
@@ -202,7 +205,7 @@ class _Judge:
         for one in sorted(among, key=lambda one: work[one]):
             if self.ratio(one) <= 1:
                 return one
-        return min(among, key=self.ratio)
+        return min(among, key=self.measured)
 
     def work(self, candidate: int) -> float:
         """Triangles and fragments of a view, mean of all."""

@@ -33,7 +33,7 @@ def path(forest: Forest, heights: Doubles, reach: float, frames: int, field_of_v
     lane = _clear_lane(ground, radius, reach)
     walk = (frames + 1) // 2
     first = [Eye(np.array([lane, _EYE * height, z]), 0.0) for z in np.linspace(radius, 0.0, walk)]
-    away = radius / math.sin(math.radians(field_of_view / 2))
+    away = (radius + reach) / math.sin(math.radians(field_of_view / 2))
     up = math.radians(_UP)
     last = np.array([0.0, away * math.sin(up), away * math.cos(up)])
     flight = np.linspace(0, 1, frames - walk + 1)[1:]

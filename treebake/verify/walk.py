@@ -145,14 +145,14 @@ class _Walker:
 
     def go(self, along: Forest, gpu_bytes: int, progress: Callable[[int, int], None] | None) -> Walk:
         settings, trees = self.settings, Trees.of(self.forest, self.ours)
-        reach = float(trees.radii.max(initial=1.0))
+        reach = float(trees.radii.max(initial=0.0)) or 1.0
         eyes = path(along, 2 * Trees.of(along, self.ours).radii, reach, settings.frames, settings.field_of_view)
         compared = set(np.linspace(0, settings.frames - 1, settings.compared).round().astype(int).tolist())
         frames, samples = [], []
         floors: list[float] = []
         for number, eye in enumerate(eyes):
-            far = float(np.linalg.norm(trees.centers - eye.place, axis=1).max(initial=1.0)) + reach
-            depths = _NEAREST * float(trees.radii.min(initial=1.0)), far
+            far = float(np.linalg.norm(trees.centers - eye.place, axis=1).max(initial=0.0)) + reach
+            depths = _NEAREST * float(trees.radii.min(initial=reach)), far
             view, moved = (
                 view_of(eye, (settings.width, settings.height), settings.field_of_view, depths, shift)
                 for shift in (0.0, 1.0)

@@ -108,6 +108,7 @@ void main() {
     } else if (share == 1.0 || at_plane <= 0.0 || at_plane >= 1.0 || !meets_far(board, start + at_plane * way, share, 0.5 / pixels, way.z < 0.0, surface)) {
         discard;
     } else {
+        if (faded(uint(gl_FragCoord.x) ^ uint(gl_FragCoord.y) << 16, opacity)) discard;
         hit.along = at_plane;
     }
     vec4 clip = to_clip * vec4(near + hit.along * (far - near), 1.0);
