@@ -21,7 +21,7 @@ from treebake.errors import GraphicsError
 from treebake.gl.context import context, leave_framebuffer, program
 from treebake.gl.indirect import IndirectBillboards
 from treebake.gl.instances import instanced
-from treebake.gl.leaf_quads import LeafQuads
+from treebake.gl.leaf_triangles import LeafTriangles
 from treebake.gl.slicings import SlicingCards
 from treebake.gl.target import Picture, Target
 from treebake.gl.view import ONE_TREE, Grove, View, column_major
@@ -42,7 +42,7 @@ from treebake.model import (
 _RGBA8, _SRGB8_ALPHA8 = 0x8058, 0x8C43
 _INDEX_BYTES = 4
 _ALPHA_MODES = {AlphaMode.OPAQUE: 0, AlphaMode.MASK: 1, AlphaMode.BLEND: 2}
-_OVERLAYS = {IndirectTextures: IndirectBillboards, LeafCards: LeafQuads, Slicings: SlicingCards, Views: ViewCards}
+_OVERLAYS = {IndirectTextures: IndirectBillboards, LeafCards: LeafTriangles, Slicings: SlicingCards, Views: ViewCards}
 _WHITE = Texture("white", np.full((1, 1, 4), 255, np.uint8))
 
 
@@ -75,7 +75,7 @@ class Drawing:
         ]
         self._parts = sorted(parts, key=lambda part: part.material.alpha_mode is AlphaMode.BLEND)
         self._solid = sum(part.material.alpha_mode is not AlphaMode.BLEND for part in parts)
-        self._overlay: IndirectBillboards | LeafQuads | SlicingCards | ViewCards | None = None
+        self._overlay: IndirectBillboards | LeafTriangles | SlicingCards | ViewCards | None = None
         try:
             if layers is not None:
                 self._overlay = self._own(_OVERLAYS[type(layers)](self._gl, layers))
@@ -107,7 +107,7 @@ class Drawing:
     def draw_solid(self, view: View, onto: moderngl.Framebuffer, grove: Grove) -> None:
         """Draw the part of some trees that hides what is behind it, into `onto`, the framebuffer in use."""
         self._draw_parts(self._parts[: self._solid], view, onto, grove)
-        if isinstance(self._overlay, (IndirectBillboards, LeafQuads)):
+        if isinstance(self._overlay, (IndirectBillboards, LeafTriangles)):
             self._overlay.draw(view, onto, grove)
 
     def draw_blended(self, view: View, onto: moderngl.Framebuffer, grove: Grove) -> None:

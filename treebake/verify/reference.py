@@ -31,6 +31,7 @@ _PACKAGE = Path(__file__).parents[1]
 _CODE = (
     "images.py",
     "gl/draw.py",
+    "gl/instances.py",
     "gl/target.py",
     "gl/view.py",
     "gl/shaders/fade.glsl",
@@ -39,6 +40,7 @@ _CODE = (
     "gl/shaders/lit.glsl",
     "gl/shaders/lit_exact.glsl",
     "gl/shaders/normal_map.glsl",
+    "gl/shaders/samples.glsl",
     "verify/cameras.py",
     "verify/metrics.py",
     "verify/reference.py",

@@ -1,5 +1,5 @@
 // Counts the fragments that leaves on cards of their own ask to be shaded.
-#include "leaf_quads_corners.glsl"
+#include "leaf_triangles_corners.glsl"
 
 #ifdef FRAGMENT_STAGE
 out float count;

@@ -13,12 +13,12 @@ _HINT = "bake with a smaller [indirect] leaf_texels"
 _ROW = 1024  # cards in a row of the table
 
 
-class LeafQuads:
+class LeafTriangles:
     """The cards on the graphics card; the images go through block compression, as an engine would keep them."""
 
     def __init__(self, gl: moderngl.Context, leaves: LeafCards) -> None:
-        self._gl, self._counter = gl, program("leaf_quads_count")
-        self._programs = {1: program("leaf_quads"), 4: program("leaf_quads_4")}  # by samples of a pixel
+        self._gl, self._counter = gl, program("leaf_triangles_count")
+        self._programs = {1: program("leaf_triangles"), 4: program("leaf_triangles_4")}  # by samples of a pixel
         count = self._count = len(leaves.cards)
         rows = np.zeros((-(-count // _ROW) * _ROW, 3, 4), np.float32)
         rows[:count] = leaves.cards

@@ -3,7 +3,7 @@
 #ifdef FOUR_SAMPLES  // a variant of its own: a software renderer runs both sides of every branch
 #extension GL_ARB_sample_shading : require  // for gl_SampleMask
 #endif
-#include "leaf_quads_corners.glsl"
+#include "leaf_triangles_corners.glsl"
 
 #ifdef FRAGMENT_STAGE
 uniform float focus;  // pixels that a unit takes up at a depth of one
@@ -55,26 +55,33 @@ void main() {
                     : lod < 3.0 ? mix(thresholds.y, thresholds.z, lod - 2.0)
                                 : mix(thresholds.z, thresholds.w, lod - 3.0);
     vec2 inner = min(0.5 * exp2(ceil(lod)) / atlas, abs(image.zw) / 2.0);
-    vec2 uv = in_image(place, inner);
-    vec4 texel = textureLod(leaf_color, uv, lod);
 #ifdef FOUR_SAMPLES
     vec2 dx = dFdx(place);
     vec2 dy = dFdy(place);
     int passed = 0;
+    vec3 sum = vec3(0.0);
     for (int i = 0; i < 4; ++i) {
         vec2 at = place + SAMPLES[i].x * dx + SAMPLES[i].y * dy;
         float alpha = textureLod(leaf_color, in_image(at, inner), lod).a;
-        if (on_card(at) && (twig || alpha >= threshold)) passed |= 1 << i;
+        if (!on_card(at) || !twig && alpha < threshold) continue;
+        passed |= 1 << i;
+        sum += vec3(at, 1.0);
     }
     gl_SampleMask[0] = passed;
+    vec2 seen = sum.xy / max(sum.z, 1.0);  // of the pixel's center there may be nothing
 #else
-    if (!on_card(place) || !twig && texel.a < threshold) discard;
+    vec2 seen = place;
+#endif
+    vec2 uv = in_image(seen, inner);
+    vec4 texel = textureLod(leaf_color, uv, lod);
+#ifndef FOUR_SAMPLES
+    if (!on_card(seen) || !twig && texel.a < threshold) discard;
 #endif
     vec2 bump = textureLod(leaf_normal, uv, lod).rg * 2.0 - 1.0;
     bump.x *= sign(image.z);
     vec3 normal = side * (bump.x * axes[0].xyz - bump.y * axes[1].xyz
                           - sqrt(max(1.0 - dot(bump, bump), 0.0)) * axes[2].xyz);
-    if (twig) normal = place.x * axes[0].xyz - side * sqrt(max(1.0 - place.x * place.x, 0.0)) * axes[2].xyz;
+    if (twig) normal = seen.x * axes[0].xyz - side * sqrt(max(1.0 - seen.x * seen.x, 0.0)) * axes[2].xyz;
     color = vec4(lit(texel.rgb, normalize(normal)), 1.0);
     depth = vec4(range, 0.0, 0.0, 1.0);
 }

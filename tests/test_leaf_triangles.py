@@ -30,7 +30,7 @@ from test_indirect import (
 from treebake.geometry import turn_to
 from treebake.gl.context import context
 from treebake.gl.draw import Drawing
-from treebake.gl.leaf_quads import LeafQuads
+from treebake.gl.leaf_triangles import LeafTriangles
 from treebake.gl.scene import Scene, Stand
 from treebake.gl.view import ONE_TREE, View, looking
 from treebake.leaf_cards import leaf_cards
@@ -201,7 +201,7 @@ def see(cards: LeafCards, view: View, *, samples: int = 4) -> Floats:
         return planted(view, (empty(), cards, ONE_TREE)).color
     target = gl.framebuffer([gl.renderbuffer(view.window, 4, dtype="f4")], gl.depth_renderbuffer(view.window))
     target.clear()
-    drawn = LeafQuads(gl, cards)
+    drawn = LeafTriangles(gl, cards)
     with gl.scope(target, gl.DEPTH_TEST):
         drawn.draw(view, target)
     drawn.release()
