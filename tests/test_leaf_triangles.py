@@ -361,7 +361,7 @@ def test_a_tree_of_cards_is_the_one_seen_from_elsewhere(place: tuple[float, floa
     leaves = planted(view, (put(crown()[0].foliage, place), None, ONE_TREE)).color
     both = (there.color[..., 3] == 1) & (leaves[..., 3] == 1)
     assert both.sum() > 500
-    assert np.abs(there.color - leaves)[both].mean() < 0.035  # the light stands still in the world
+    assert np.abs(there.color - leaves)[both].mean() < 0.04  # the light stands still in the world
     assert not planted(view, (empty(), crown_cards(), NOBODY)).color.any()
 
 

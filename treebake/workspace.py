@@ -244,8 +244,9 @@ def _class(name: str) -> Any:
 @cache
 def _code(module: str) -> str:
     """The version of a stage: a digest of its own file or package, and of what every stage builds on."""
-    _, room, *rest = module.split(".")
-    own = _PACKAGE.joinpath(room, *(rest[:1] if room == "stages" else ()))  # of the verifier all
+    own = _PACKAGE.joinpath(*module.split(".")[1:3])  # treebake.stages.NAME, with what is below it
+    if own.parent.name == "verify":
+        own = own.parent  # whose parts build on each other
     parts = [own, *(_PACKAGE / name for name in _GROUND)]
     roots = [root for part in parts for root in (part, part.with_suffix(".py"))]
     files = [file for root in roots for file in ([root] if root.is_file() else sorted(root.rglob("*")))]
