@@ -12,11 +12,10 @@ from treebake.gl.draw import Drawing
 from treebake.model import Mesh
 from treebake.verify.cameras import bounding_sphere, cameras
 from treebake.verify.cost import Cost, cost_of
-from treebake.verify.ladder import Candidate, candidates
+from treebake.verify.ladder import MOST_MOVED, Candidate, candidates
 from treebake.verify.metrics import flips
 from treebake.verify.reference import reference
 
-_MOST_MOVED = 2.0  # pixels, root mean square, by which leaves may be moved: with more a cloud is not tried
 _ELEVATIONS, _AZIMUTHS = (0.0, 25.0, 60.0), 4  # degrees; views at each
 
 
@@ -53,7 +52,7 @@ def smallest(
             f"{settings.bytes}; the smallest has {least.triangles:,} triangles and {least.gpu_bytes:,} bytes"
         )
     pixel = 2 * bounding_sphere(source)[1] / settings.height
-    near = [one for one in fitting if _displacement(asset, one) <= _MOST_MOVED * pixel] or fitting
+    near = [one for one in fitting if one.displacement <= MOST_MOVED * pixel] or fitting
     directions = cameras(source, _ELEVATIONS, _AZIMUTHS)
     known = reference(source, None, directions, settings.height, cache, lambda _: None)
     ratios: dict[Candidate, float] = {}
@@ -84,8 +83,3 @@ def check_budget(settings: BudgetSettings) -> None:
 def _within(cost: Cost, settings: BudgetSettings) -> bool:
     triangles = not settings.triangles or cost.triangles <= settings.triangles
     return triangles and (not settings.bytes or cost.gpu_bytes <= settings.bytes)
-
-
-def _displacement(asset: Asset, candidate: Candidate) -> float:
-    """Of a cloud's leaves; what has depth shows each leaf where it is."""
-    return 0.0 if candidate.level is None else asset.manifest.levels[candidate.level].displacement

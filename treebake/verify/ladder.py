@@ -26,6 +26,7 @@ from treebake.verify.reference import Reference, reference
 from treebake.verify.representations import without
 from treebake.verify.switching import FADE
 
+MOST_MOVED = 2.0  # pixels, root mean square, by which leaves may be moved: with more a cloud is not drawn to be judged
 _HOPELESS = 1.5  # FLIP over floor(1 px) from which on the next height is not tried: a step there takes off less
 _ENTRIES = {"leaves": "indirect", "indirect": "indirect", "slicings": "slicings", "views": "views"}  # of the manifest
 _NO_WORSE = 1.25  # times the finest level's FLIP that a coarser standard level may have, where none is invisible
@@ -44,13 +45,16 @@ class LadderSettings:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One way to draw a tree. level: of a cloud, its place in the manifest's levels."""
+    """One way to draw a tree. level: of a cloud, its place in the manifest's levels. displacement: how far it moves the
+    leaves, in the source's unit; what has depth shows them where they are.
+    """
 
     representation: str
     file: str
     level: int | None
     mesh: Mesh
     layers: Layers | None
+    displacement: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,8 @@ def drawn_as(asset: Asset, representation: str, level: int | None = None) -> Can
             rest, layers = without(read_mesh(path), "slices"), read_slicings(path)
         case "views":
             layers = read_views(path, manifest.name)
-    return Candidate(representation, entry.file, level, rest, layers)
+    displacement = 0.0 if level is None else manifest.levels[level].displacement
+    return Candidate(representation, entry.file, level, rest, layers, displacement)
 
 
 def candidates(asset: Asset) -> tuple[Candidate, ...]:
@@ -106,14 +111,14 @@ def ladder(
     with ExitStack() as stack:
         drawings = [stack.enter_context(closing(Drawing(each.mesh, each.layers))) for each in found]
         costs = [cost_of(each.mesh, each.layers) for each in found]
-        judge = _Judge(source, drawings, costs, cameras(source, settings.elevations, settings.azimuths), cache)
+        judge = _Judge(source, found, drawings, costs, cameras(source, settings.elevations, settings.azimuths), cache)
         chosen, levels, step = [], [0], 0
         clouds = [number for number, each in enumerate(found) if each.representation == "cloud"]
         for done, height in enumerate(settings.heights):
             judge.look(height)
             chosen.append(judge.cheapest(range(len(found))))
             best = max(1.0, _NO_WORSE * judge.measured(clouds[0])) if len(clouds) > 1 else 0.0
-            while step + 1 < len(clouds) and judge.measured(clouds[step + 1]) <= best:
+            while step + 1 < len(clouds) and judge.allowed(clouds[step + 1], best):
                 step += 1
                 levels.append(height)
             if progress:
@@ -171,6 +176,7 @@ class _Judge:
     """Measures candidates at one height after the other, each only when it is asked for."""
 
     source: Mesh
+    candidates: Sequence[Candidate]
     drawings: Sequence[Drawing]
     costs: Sequence[Cost]
     directions: tuple[Camera, ...]
@@ -184,10 +190,19 @@ class _Judge:
         self.before, self.height = self.height, height
         self.known = reference(self.source, None, self.directions, height, self.cache, lambda _: None)
 
-    def ratio(self, candidate: int) -> float:
-        """Measured at this height; infinite where that at the height above left no hope."""
-        above = self.ratios.get((candidate, self.before), 0.0)
-        return float("inf") if above > _HOPELESS else self.measured(candidate)
+    def displaced(self, candidate: int) -> bool:
+        """Whether its leaves are moved so far, at this height, that it need not be drawn."""
+        pixel = 2 * self.directions[0].radius / self.height
+        return self.candidates[candidate].displacement > MOST_MOVED * pixel
+
+    def allowed(self, candidate: int, most: float) -> bool:
+        """Whether its FLIP over floor(1 px) is at most this at this height."""
+        return not self.displaced(candidate) and self.measured(candidate) <= most
+
+    def invisible(self, candidate: int) -> bool:
+        """Whether it is at this height; not looked at where that at the height above left no hope."""
+        hopeless = self.ratios.get((candidate, self.before), 0.0) > _HOPELESS
+        return not hopeless and self.allowed(candidate, 1.0)
 
     def measured(self, candidate: int) -> float:
         """FLIP over floor(1 px) at this height."""
@@ -203,9 +218,9 @@ class _Judge:
         """The invisible one with the least work; where there is none, the one that differs least."""
         work = {one: self.work(one) for one in among}
         for one in sorted(among, key=lambda one: work[one]):
-            if self.ratio(one) <= 1:
+            if self.invisible(one):
                 return one
-        return min(among, key=self.measured)
+        return min([one for one in among if not self.displaced(one)] or among, key=self.measured)
 
     def work(self, candidate: int) -> float:
         """Triangles and fragments of a view, mean of all."""
@@ -217,7 +232,7 @@ class _Judge:
         """Why one is on no rung."""
         measured = {height: ratio for (one, height), ratio in self.ratios.items() if one == candidate}
         if not measured:
-            return "others were invisible for less work at every height"
+            return "others were invisible for less work wherever it might have been"
         height, least = min(measured.items(), key=lambda item: item[1])
         if least > 1:
             return f"seen where it would have been the least work: FLIP / floor(1 px) is {least:.2f} at {height} px"
