@@ -286,22 +286,21 @@ def test_nothing_within_the_caps_names_the_smallest(monkeypatch: pytest.MonkeyPa
 def test_a_cloud_that_moves_its_leaves_too_far_is_not_drawn(monkeypatch: pytest.MonkeyPatch, asset: Asset) -> None:
     pixel = 2 * 1.45 / 64  # of the sphere's radius; half a pixel more or less does not matter here
 
-    def moved(pixels: float) -> None:
-        meshes = ((0, TREE, 0.0), (1, LEAFLESS, pixels * pixel))
-        found = tuple(Candidate("cloud", f"{n}.glb", n, mesh, None, moved) for n, mesh, moved in meshes)
+    def moved(*pixels: float) -> None:
+        meshes = ((n, mesh, away * pixel) for n, (mesh, away) in enumerate(zip((TREE, LEAFLESS), pixels, strict=True)))
+        found = tuple(Candidate("cloud", f"{n}.glb", n, mesh, None, away) for n, mesh, away in meshes)
         monkeypatch.setattr(BUDGET, "candidates", lambda _: found)
 
-    moved(1.0)
+    moved(0.0, 1.0)
     assert picked(asset, AT_64)[0].level == 1
     # A pixel is smaller where the tree is higher.
     assert picked(asset, replace(AT_64, height=256))[0].level == 0
-    moved(4.0)
+    moved(0.0, 4.0)
     rung, told = picked(asset, AT_64)
     assert (rung.level, len(told)) == (0, 1)
-    # Where all move their leaves too far they are drawn all the same, and so is what is no cloud.
-    assert picked(moved(9.0, 9.0), AT_64)[0].level == 1
-    offered(monkeypatch, LEAFLESS)
-    assert picked(moved(9.0, 9.0), AT_64)[0].representation == "no. 0"
+    # Where all move their leaves too far they are drawn all the same.
+    moved(9.0, 9.0)
+    assert picked(asset, AT_64)[0].level == 1
 
 
 def test_where_nothing_is_invisible_it_is_for_the_caller_to_say_so(
