@@ -687,7 +687,7 @@ def test_levels_are_told_down_to_which_height_each_is_good(
     assert heights[-1] == 0
     nodes = GltfFile(tmp_path / "tree/tree.glb").json["nodes"]
     covered = [node["extras"]["MSFT_screencoverage"] for node in nodes if "extras" in node]
-    assert covered == [[height / 1080 for height in heights]] * 2  # of cloud and trunk
+    assert covered == [[height / 1080 for height in heights]]  # of the node that holds cloud and trunk
     assert_valid(tmp_path / "tree/tree.glb")
 
 
@@ -698,6 +698,7 @@ def test_where_nothing_is_invisible_there_is_a_ladder_too(tmp_path: Path, treeba
     result = treebake("bake", tmp_path / "shrub.glb", "-o", tmp_path, *COARSE, *LADDER, *few, *one)
     assert result.code == 0, result.err
     ladder = read_asset(tmp_path / "shrub").manifest.ladder
+    assert ladder
     assert all(rung.flip_ratio > 1 for rung in ladder)
 
 
@@ -722,6 +723,27 @@ def test_for_one_height_one_representation_is_kept(
     assert_valid(*(tmp_path / "tree").glob("*.glb"))
     assert skipped(treebake(*arguments))[-1] == "budget"
     assert files(tmp_path / "tree") == written
+
+
+def test_of_a_kept_level_the_ladder_names_the_file_that_is_there(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    only_clouds = (*NO_PICTURES, "--set", "indirect.enabled=false")
+    assert treebake("bake", tree, "-o", tmp_path, *TEXTURES, *only_clouds, *LEVELS, "--height", 16).code == 0
+    asset = read_asset(tmp_path / "tree")
+    (rung,) = asset.manifest.ladder
+    assert (rung.representation, rung.level, rung.file) == ("cloud", 0, asset.manifest.levels[0].file)
+    assert (asset.folder / rung.file).is_file()
+
+
+def test_a_budget_that_cannot_be_met_leaves_what_was_published(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    assert treebake("bake", tree, "-o", tmp_path, *TEXTURES).code == 0
+    before = files(tmp_path / "tree")
+    assert treebake("bake", tree, "-o", tmp_path, *TEXTURES, "--height", 64, "--bytes", 1).code == 2
+    assert files(tmp_path / "tree") == before
+    assert not (tmp_path / "tree/stages/draft").exists()
 
 
 @pytest.mark.parametrize(

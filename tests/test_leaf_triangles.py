@@ -322,7 +322,7 @@ def test_the_fragments_are_those_of_one_triangle_about_each_card() -> None:
     view = view_from(0.0)
     with closing(Drawing(empty(), by_hand(width=0.3, height=0.3))) as drawing:
         asked = drawing.fragments(view)
-        assert (drawing.triangles, drawing.calls) == (1, 1)
+        assert (drawing.triangles, drawing.calls(view, ONE_TREE)) == (1, 1)
     assert asked == pytest.approx(2 * 0.3 * 0.3 * PIXELS**2, rel=0.05)  # twice the card
 
 

@@ -13,7 +13,7 @@ from stems import empty, mesh_of, stem, together
 
 from treebake.asset import read_asset, write_asset
 from treebake.errors import SettingsError
-from treebake.levels import LevelSettings, bake_levels
+from treebake.levels import LevelSettings, bake_levels, check_levels
 from treebake.model import BakedLevel, BakedTree, Hierarchy, Mesh, Tree
 from treebake.planes import with_pieces
 from treebake.settings import Settings
@@ -153,9 +153,9 @@ def test_levels_with_too_few_planes_are_left_out(tmp_path: Path) -> None:
         ({"trunk_triangles": (60, 0)}, r"\[levels\] trunk_triangles is .+ 1 or more"),
     ],
 )
-def test_settings_out_of_range_are_named(tmp_path: Path, changes: dict[str, Any], message: str) -> None:
+def test_settings_out_of_range_are_named(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(SettingsError, match=message):
-        levels_of(crowned(BRANCHES), tmp_path, replace(SMALL, levels=replace(SMALL.levels, **changes)))
+        check_levels(replace(SMALL, levels=replace(SMALL.levels, **changes)))
 
 
 def test_what_is_published(tmp_path: Path) -> None:

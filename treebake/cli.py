@@ -283,6 +283,8 @@ def verify(
     if len(named) != 1:
         raise click.UsageError("name one of: an ASSET folder, a file with --candidate, a forest with --forest")
     if scene:
+        if settings.verify.thresholds or settings.verify.quick:
+            raise click.UsageError("a forest has no thresholds and no --quick; set walk.frames and walk.compared")
         with terminal.announce("verify") as progress:
             walked, changes, folder = verify_forest(scene, sources, report, settings, progress)
         facts = {"report": str(folder), **forest_facts(walked, changes)}

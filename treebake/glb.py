@@ -41,16 +41,16 @@ class Instances:
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A mesh with coarser levels of detail, in one place or in many.
+    """A mesh, or several by name below one node, with coarser levels of detail, in one place or in many.
 
     levels: what stands for `mesh` farther away, from near to far (MSFT_lod); a level may be empty, where nothing is
     drawn. coverage: MSFT_screencoverage, the least part of the view's height at which each level is meant to be drawn,
-    that of `mesh` first; () without levels. instances: None for one at the origin.
+    that of `mesh` first; () without levels. instances: of a single mesh; None for one at the origin.
     """
 
     name: str
-    mesh: Mesh
-    levels: Sequence[Mesh] = ()
+    mesh: Mesh | Sequence[tuple[str, Mesh]]
+    levels: Sequence[Mesh | Sequence[tuple[str, Mesh]]] = ()
     coverage: Sequence[float] = ()
     instances: Instances | None = None
 
@@ -100,18 +100,25 @@ class _Writer:
 
     def add_node(self, node: Node) -> None:
         meshes = [node.mesh, *node.levels]
-        if not any(mesh.triangles for mesh in meshes):
+        if not any(mesh.triangles if isinstance(mesh, Mesh) else mesh for mesh in meshes):
             return
         if node.instances is not None and not len(node.instances.translations):
             return
         names = [f"{node.name}_LOD{level}" if level else node.name for level in range(len(meshes))]
-        first, *others = (self.level(*named, node.instances) for named in zip(names, meshes, strict=True))
+        first, *others = (
+            self.level(name, mesh, node.instances) if isinstance(mesh, Mesh) else self.parent(name, mesh, level)
+            for level, (name, mesh) in enumerate(zip(names, meshes, strict=True))
+        )
         self.roots.append(first)
         if others:
             self.used.add(_LOD)
             entry = self.arrays["nodes"][first]
             entry.setdefault("extensions", {})[_LOD] = {"ids": others}
             entry["extras"] = {"MSFT_screencoverage": list(node.coverage)}
+
+    def parent(self, name: str, parts: Sequence[tuple[str, Mesh]], level: int) -> int:
+        children = [self.level(f"{part}_LOD{level}" if level else part, mesh, None) for part, mesh in parts]
+        return self.append("nodes", {"name": name, **({"children": children} if children else {})})
 
     def level(self, name: str, mesh: Mesh, instances: Instances | None) -> int:
         entry: Json = {"name": name}

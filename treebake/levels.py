@@ -68,9 +68,8 @@ def bake_levels(
     parts: the tree as it was split. tree, planes, solid: of the finest level, the tree's first leaves those of the
     split; planes: None where there is no foliage, and each level is a trunk alone. Levels for which there are too few
     planes, or for want of foliage no fewer triangles than in the level above, are left out.
-    Raises SettingsError where a setting is out of range, and what the stages raise.
+    Raises what the stages raise.
     """
-    _check(settings)
     split = parts.value
     whole = join(split.trunk, split.foliage)
     views = cameras(whole, _ELEVATIONS, _AZIMUTHS)[SCALE]
@@ -101,7 +100,8 @@ def bake_levels(
     return tuple(levels)
 
 
-def _check(settings: "Settings") -> None:
+def check_levels(settings: "Settings") -> None:
+    """Raise SettingsError where a setting is out of range, or there is not one entry for each level."""
     levels, count = settings.levels, len(settings.hierarchy.billboards)
     for name in ("heights", "trunk_triangles"):
         if (entries := len(getattr(levels, name))) != count:

@@ -3,7 +3,7 @@
     load -> split -> twigs -> cluster, twice                `cluster_tree`: a mesh file into the work folder
             -> views, indirect, slicings, billboards, trunk
             -> hierarchy -> a cloud and a trunk for each level (`levels.py`)
-            -> write_asset -> ladder, or smallest           `bake_textures`: the work folder into the published one
+            -> ladder, or smallest -> write_asset           `bake_textures`: the work folder into the published one
     read_asset -> scatter -> write_forest                   `plant_forest`: published folders into one file
 
 The verifier stands apart: it reads published files only.
@@ -13,12 +13,14 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from shutil import rmtree
 
 import numpy as np
 
 from treebake.asset import (
     SHARED,
     Asset,
+    Ladder,
     Rung,
     asset_bounds,
     files_of,
@@ -26,13 +28,12 @@ from treebake.asset import (
     read_forest,
     write_asset,
     write_forest,
-    write_ladder,
     write_shared_views,
 )
 from treebake.errors import InputError, SettingsError, WorkspaceError
 from treebake.files import cache_folder
 from treebake.geometry import join
-from treebake.levels import bake_levels
+from treebake.levels import bake_levels, check_levels
 from treebake.meshes import read_mesh
 from treebake.model import (
     BakedLevel,
@@ -66,7 +67,6 @@ from treebake.verify import (
     BudgetSettings,
     Change,
     CloseUp,
-    Ladder,
     Morphing,
     Report,
     VerifySettings,
@@ -196,6 +196,8 @@ def _check_what_comes_last(settings: Settings) -> None:
         check_budget(settings.budget)
     if settings.ladder.enabled:
         check_ladder(settings.ladder)
+    if settings.levels.enabled:
+        check_levels(settings)
 
 
 def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> BakedTree:
@@ -237,49 +239,62 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
 
 
 def _publish(work: Workspace, baked: BakedTree, folder: Path, shared: Path | None, settings: Settings) -> Baked:
-    """Write the asset, measure what was written, and tell what is left of the trunk."""
-    with work.announce("asset"):
-        write_asset(baked, folder, shared)
+    """Measure the asset, publish it, and tell what is left of the trunk."""
     command = _command(work)
     parts: Result[Tree] = work.read("split", command)
-    source = Result(f"{parts.digest}.whole", lambda: join(parts.value.trunk, parts.value.foliage))
-    asset = read_asset(folder)
-    written = Result.of_files([folder / file for file in files_of(asset.manifest)], lambda: asset)
-    if settings.budget != BudgetSettings():
-        kept: Rung = work.run(smallest, settings.budget, written, source, name="budget").value
-        _warn_if_seen(kept, settings.budget.height)
-        only, level = _only(baked, kept, asset.level_number(settings.budget.height))
-        write_asset(only, folder, shared)
-        write_ladder(folder, [replace(kept, level=level)], [], [0])
-    elif settings.ladder.enabled:
-        measured: Ladder = work.run(ladder, settings.ladder, written, source).value
-        write_ladder(folder, measured.rungs, measured.left_out, measured.level_heights)
+    published, measured = _measured(work, baked, parts, settings)
+    with work.announce("asset"):
+        write_asset(published, folder, shared, measured)
     tree: Tree = work.read("twigs", command).value
     pieces = tree.foliage.select(tree.leaves.is_twig[tree.leaves.face_leaf])
-    finest = compare(work.read("split", command).value.trunk, baked.trunk, pieces)
+    finest = compare(parts.value.trunk, baked.trunk, pieces)
     return Baked(folder, finest, tuple(level.silhouette_kept for level in baked.levels))
 
 
-def _only(baked: BakedTree, kept: Rung, level: int) -> tuple[BakedTree, int | None]:
-    """What is kept of a tree, and the place of its cloud among the levels: one representation, and one standard level.
+def _measured(
+    work: Workspace, baked: BakedTree, parts: Result[Tree], settings: Settings
+) -> tuple[BakedTree, Ladder | None]:
+    """What to publish of a tree, and its ladder: measured on the files of a draft, which an interrupt leaves alone."""
+    within_budget = settings.budget != BudgetSettings()
+    if not within_budget and not settings.ladder.enabled:
+        return baked, None
+    draft = work.folder / "stages" / "draft"
+    try:
+        with work.announce("draft"):
+            write_asset(baked, draft)
+        asset = read_asset(draft)
+        files = Result.of_files([draft / file for file in files_of(asset.manifest)], lambda: asset)
+        source = Result(f"{parts.digest}.whole", lambda: join(parts.value.trunk, parts.value.foliage))
+        if not within_budget:
+            ladder_found: Ladder = work.run(ladder, settings.ladder, files, source).value
+            return baked, ladder_found
+        kept: Rung = work.run(smallest, settings.budget, files, source, name="budget").value
+    finally:
+        rmtree(draft, ignore_errors=True)
+    _warn_if_seen(kept, settings.budget.height)
+    return _only(baked, kept, asset.level_number(settings.budget.height))
+
+
+def _only(baked: BakedTree, kept: Rung, level: int) -> tuple[BakedTree, Ladder]:
+    """What is kept of a tree within a budget: one representation, and one standard level.
 
     level: the standard level to keep beside what no standard viewer draws, unless that needs its trunk.
     """
-    number = level if kept.level is None else kept.level
-    if kept.representation in ("leaves", "indirect"):
-        number = 0
-    finest = BakedLevel(baked.cloud, baked.trunk, 0)
-    one = (finest, *baked.levels)[number]
+    tables = kept.representation in ("leaves", "indirect")
+    number = kept.level if kept.level is not None else 0 if tables else level
+    one = (BakedLevel(baked.cloud, baked.trunk, 0), *baked.levels)[number]
     only = replace(
         baked,
         cloud=replace(one.cloud, mesh=replace(one.cloud.mesh, morph=None)),
         trunk=one.trunk,
         levels=(),
-        indirect=baked.indirect if kept.representation in ("leaves", "indirect") else None,
+        indirect=baked.indirect if tables else None,
         slicings=baked.slicings if kept.representation == "slicings" else None,
         views=baked.views if kept.representation == "views" else None,
     )
-    return only, None if kept.level is None else 0
+    if kept.level is not None:
+        kept = replace(kept, level=0, file=f"{baked.name}_LOD0.glb")
+    return only, Ladder((kept,), (), (0,))
 
 
 def _warn_if_seen(kept: Rung, height: int) -> None:
@@ -335,10 +350,13 @@ def verify_forest(
     """
     forest, folders = read_forest(path)
     assets = {name: read_asset(folder) for name, folder in zip(forest.names, folders, strict=True)}
-    meshes = {source.stem: read_mesh(source, settings.load) for source in sources}
-    for name, mesh in meshes.items():
-        if name in assets:
-            _warn_of_another_source(mesh, Path(name), assets[name])
+    meshes = {}
+    for source in sources:
+        if source.stem not in assets or source.stem in meshes:
+            what = "is given twice" if source.stem in meshes else f"is no species of {path}"
+            raise SettingsError(f"--source {source} {what}; give one file for each of {', '.join(assets)}")
+        meshes[source.stem] = read_mesh(source, settings.load)
+        _warn_of_another_source(meshes[source.stem], source, assets[source.stem])
     found = walk(forest, assets, meshes, settings.walk, progress)
     changes = {name: approach(assets[name], meshes[name]) for name in forest.names}
     folder = report or path.parent / f"{path.stem}_report"

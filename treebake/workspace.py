@@ -244,10 +244,10 @@ def _class(name: str) -> Any:
 @cache
 def _code(module: str) -> str:
     """The version of a stage: a digest of its own file or package, and of what every stage builds on."""
-    own = _PACKAGE.joinpath(*module.split(".")[1:3])  # treebake.stages.NAME, with what is below it
-    if own.parent.name == "verify":
-        own = own.parent  # whose parts build on each other
-    parts = [own, *(_PACKAGE / name for name in _GROUND)]
+    own = [_PACKAGE.joinpath(*module.split(".")[1:3])]  # treebake.stages.NAME, with what is below it
+    if own[0].parent.name == "verify":  # whose parts build on each other, and on how assets are read
+        own = [_PACKAGE / room for room in ("verify", "asset", "formats", "meshes", "glb")]
+    parts = [*own, *(_PACKAGE / name for name in _GROUND)]
     roots = [root for part in parts for root in (part, part.with_suffix(".py"))]
     files = [file for root in roots for file in ([root] if root.is_file() else sorted(root.rglob("*")))]
     return _digest([[file.name, file.read_text("utf-8")] for file in files if file.suffix in {".py", ".glsl"}])

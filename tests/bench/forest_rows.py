@@ -1,6 +1,5 @@
 """The rows of levels of detail and forests, L1 to L7: the chestnut alone, and the seven species together."""
 
-import json
 import time
 from collections.abc import Sequence
 from contextlib import closing
@@ -13,7 +12,7 @@ from tests.bench.runner import Runner
 
 SEVEN = ("chestnut", "oak", "cork", "horse-chestnut", "shrub", "maple", "alder")
 ALONE = ("chestnut",)
-FEW = ("--set", "walk.frames=12", "--set", "walk.compared=12")  # 100 trees: the source in every frame
+FEW = ("--set", "walk.frames=20", "--set", "walk.compared=20")  # 100 trees: the source in every frame
 MANY = ("--set", "walk.frames=12", "--set", "walk.compared=4")  # 1000 trees: in a sample of them
 GSSK05_WINDOW = (1024, 768)
 
@@ -32,12 +31,9 @@ def _scene(run: Runner, species: Sequence[str], trees: int) -> Path:
 def _walk(run: Runner, species: Sequence[str], trees: int, sets: tuple[str, ...]) -> Any:
     """What `verify --forest` tells; walked once for all rows."""
     key = f"{species[0]}_{len(species)}_{trees}"
-    kept = run.folder / f"{key}_walk.json"
     if key not in run.walked:
         sources = [word for name in species for word in ("--source", run.source(name))]
-        found = run.treebake("verify", "--forest", _scene(run, species, trees), *sources, *sets)
-        kept.write_text(json.dumps(found))
-        run.walked[key] = found
+        run.walked[key] = run.treebake("verify", "--forest", _scene(run, species, trees), *sources, *sets)
     return run.walked[key]
 
 

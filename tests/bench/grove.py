@@ -9,14 +9,13 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
-from functools import cache
 from statistics import median
 from typing import Any
 
 import numpy as np
 
 from treebake.geometry import turn_to
-from treebake.gl.context import context
+from treebake.gl.context import context, leave_framebuffer
 from treebake.gl.draw import Drawing
 from treebake.gl.view import Grove, View, looking
 from treebake.model import Layers, Mesh
@@ -69,14 +68,9 @@ def compare(source: Mesh, rest: Mesh, layers: Layers, count: int, spacing: float
                     )
                 )
             worst.append(max(times))
-    _elsewhere().use()  # else the next scope would go back to a framebuffer that is gone
+    leave_framebuffer()
     target.release()
     return Times(*worst)
-
-
-@cache
-def _elsewhere() -> Any:
-    return context().simple_framebuffer((1, 1))
 
 
 def _grove(count: int, spacing: float) -> Grove:

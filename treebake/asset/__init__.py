@@ -2,8 +2,7 @@
 
 from treebake.asset.forest import asset_bounds, read_forest, write_forest
 from treebake.asset.indirect import indirect_bytes, leaf_card_bytes, read_indirect
-from treebake.asset.ladder import write_ladder
-from treebake.asset.manifest import Asset, LeftOut, Level, Manifest, Rung
+from treebake.asset.manifest import Asset, Ladder, LeftOut, Level, Manifest, Rung
 from treebake.asset.pictures import atlas_bytes, read_slicings, read_views
 from treebake.asset.read import files_of, read_asset
 from treebake.asset.write import SHARED, write_asset, write_shared_views
@@ -11,6 +10,7 @@ from treebake.asset.write import SHARED, write_asset, write_shared_views
 __all__ = [
     "SHARED",
     "Asset",
+    "Ladder",
     "LeftOut",
     "Level",
     "Manifest",
@@ -27,6 +27,5 @@ __all__ = [
     "read_views",
     "write_asset",
     "write_forest",
-    "write_ladder",
     "write_shared_views",
 ]

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from treebake.asset.extras import Extras, read_extras
-from treebake.asset.ladder import screen_coverage
-from treebake.asset.manifest import FORMAT, Asset
+from treebake.asset.manifest import FORMAT, Asset, screen_coverage
 from treebake.asset.read import files_of
 from treebake.errors import AssetError, WorkspaceError
 from treebake.formats.gltf_file import GltfFile
@@ -117,6 +116,7 @@ def _read(folder: Path, file: GltfFile, extras: Extras) -> tuple[tuple[Forest, t
         (len(species) == len(turns) == trees, "its tables are of different lengths"),
         ((species < len(where.assets)).all(), "a tree is of a species that it does not name"),
         (np.isfinite(places).all() and np.isfinite(turns).all(), "a tree's place is no number"),
+        (np.isfinite(bounds).all(), "a cell's bounds are no numbers"),
         (np.array_equal([*first, trees], np.cumsum([0, *count])), "its cells do not hold its trees"),
         (len(bounds) == 2 * len(first), "it has more or fewer bounds than cells"),
     )

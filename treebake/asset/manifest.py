@@ -1,11 +1,13 @@
 """What manifest.json says; these types are its schema."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 
+VIEW_HEIGHT = 1080  # pixels, of the view that MSFT_screencoverage is a part of
 FORMAT = 1  # raised when a reader of the number before could misread the files
 
 
@@ -116,6 +118,15 @@ class LeftOut:
 
 
 @dataclass(frozen=True)
+class Ladder:
+    """Rungs from near to far, what is on none of them, and the least heights of the standard levels."""
+
+    rungs: tuple[Rung, ...]
+    left_out: tuple[LeftOut, ...]
+    level_heights: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class Image:
     """A loose copy of a texture, for engines. size: width and height in texels."""
 
@@ -164,3 +175,8 @@ class Asset:
     def level_for(self, height: int) -> Path:
         """The GLB of that level."""
         return self.level_paths[self.level_number(height)]
+
+
+def screen_coverage(min_heights: Sequence[int]) -> list[float]:
+    """MSFT_screencoverage of levels: the part of the view's height down to which each is drawn."""
+    return [height / VIEW_HEIGHT for height in min_heights]

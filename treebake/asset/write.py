@@ -4,15 +4,27 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from treebake import __version__
 from treebake.asset.indirect import IMAGES, TABLES, indirect_bytes, indirect_extras
-from treebake.asset.ladder import screen_coverage, write_manifest
-from treebake.asset.manifest import FORMAT, Image, Indirect, Level, Manifest, Picture, SlicingsEntry, Source, ViewsEntry
+from treebake.asset.manifest import (
+    FORMAT,
+    Image,
+    Indirect,
+    Ladder,
+    Level,
+    Manifest,
+    Picture,
+    SlicingsEntry,
+    Source,
+    ViewsEntry,
+    screen_coverage,
+)
 from treebake.asset.pictures import ATLAS, atlas_bytes, views_names, write_slicings, write_views
-from treebake.asset.read import files_of, read_asset
-from treebake.errors import AssetError, WorkspaceError
+from treebake.asset.read import files_of
+from treebake.errors import WorkspaceError
 from treebake.files import atomic
 from treebake.glb import Node, write_glb
 from treebake.images import encode_floats, encode_png, encode_texture
@@ -33,16 +45,18 @@ LOG = logging.getLogger("treebake")
 SHARED = "shared_views"  # folder and file of the views of trees that share an atlas
 
 
-def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Manifest:
+def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None, ladder: Ladder | None = None) -> Manifest:
     """Write every file of the asset into `folder`, each atomically, the manifest last.
 
     shared: the file that `write_shared_views` wrote the tree's views into, relative to the folder; without it they get
-    a file of their own. Raises WorkspaceError where a file cannot be written, or where there is nothing to write.
+    a file of their own. ladder: what was measured of it.
+    Raises WorkspaceError where a file cannot be written, or where there is nothing to write.
     """
     finest = BakedLevel(tree.cloud, tree.trunk, 0)
     if not _nodes(finest):
         raise WorkspaceError(f"{tree.name} has neither foliage nor trunk left; there is nothing to publish")
-    drawn_from = [*(level.height for level in tree.levels), 0]  # a level reaches down to where the next one begins
+    # A level reaches down to where the next one begins, which is measured or else what that was made for.
+    drawn_from = ladder.level_heights if ladder else (*(level.height for level in tree.levels), 0)
     levels, images = [], []
     for number, (level, height) in enumerate(zip((finest, *tree.levels), drawn_from, strict=True)):
         levels.append(_write_level(folder / f"{tree.name}_LOD{number}.glb", level, height))
@@ -50,7 +64,7 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
         images += [_write_image(folder, prefix, texture, space) for texture, space in _maps(level.cloud.mesh)]
     full = folder / f"{tree.name}.glb"
     extras = {} if tree.indirect is None else {"treebake": indirect_extras(tree.indirect)}
-    write_glb(full, _bound((finest, *tree.levels), levels), extras)
+    write_glb(full, [_bound((finest, *tree.levels), levels)], extras)
     indirect = slicings = views = None
     if tree.indirect is not None:
         images += _write_indirect_images(folder, tree.name, tree.indirect)
@@ -82,9 +96,12 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None) -> Ma
         slicings=slicings,
         views=views,
         textures=tuple(images),
+        ladder=ladder.rungs if ladder else (),
+        left_out=ladder.left_out if ladder else (),
     )
     before = _named(folder)
-    write_manifest(folder, manifest)
+    with atomic(folder / "manifest.json") as file:
+        file.write(msgspec.json.format(msgspec.json.encode(manifest), indent=2) + b"\n")
     for stale in before - _named(folder):  # what an earlier bake left and this one does not have
         stale.unlink(missing_ok=True)
     return manifest
@@ -95,11 +112,11 @@ def _nodes(level: BakedLevel) -> list[tuple[str, Mesh]]:
     return [(name, mesh) for name, mesh in parts.items() if mesh.triangles]
 
 
-def _bound(baked: Sequence[BakedLevel], levels: Sequence[Level]) -> list[Node]:
-    """Cloud and trunk, each with its coarser levels and the part of the screen down to which each is drawn."""
-    coverage = screen_coverage([level.min_height for level in levels])
-    parts = {"cloud": [level.cloud.mesh for level in baked], "trunk": [level.trunk for level in baked]}
-    return [Node(name, near, far, coverage if far else ()) for name, (near, *far) in parts.items()]
+def _bound(baked: Sequence[BakedLevel], levels: Sequence[Level]) -> Node:
+    """All levels as one node, and the part of the screen down to which each is drawn."""
+    near, *far = map(_nodes, baked)
+    coverage = screen_coverage([level.min_height for level in levels]) if far else ()
+    return Node("tree", near, far, coverage)
 
 
 def _write_level(path: Path, level: BakedLevel, min_height: int) -> Level:
@@ -121,10 +138,11 @@ def _write_level(path: Path, level: BakedLevel, min_height: int) -> Level:
 def _named(folder: Path) -> set[Path]:
     """The files within the folder that its manifest names; none where there is no sound one."""
     try:
-        named = files_of(read_asset(folder).manifest)
-    except AssetError:
+        manifest = msgspec.json.decode((folder / "manifest.json").read_bytes(), type=Manifest)
+    except (OSError, msgspec.DecodeError):
         return set()
-    return {folder / file for file in named if not file.startswith("..")}
+    inside = folder.resolve()
+    return {path for file in files_of(manifest) if (path := (folder / file).resolve()).is_relative_to(inside)}
 
 
 def write_shared_views(named: Sequence[tuple[str, Impostor]], out: Path) -> Path:

@@ -177,9 +177,11 @@ def _parts(
 
 def _target(file: GltfFile, mesh: Json, primitive: Json) -> dict[str, Array]:
     """What the morph adds to positions and normals; empty where there is none that is read."""
-    target = primitive.get("targets", [{}])[0]
-    if mesh.get("extras", {}).get("targetNames") != [MORPH] or _DRACO in primitive.get("extensions", {}):
+    extras = mesh.get("extras")  # any value
+    named = isinstance(extras, dict) and extras.get("targetNames") == [MORPH]
+    if not named or not primitive.get("targets") or _DRACO in primitive.get("extensions", {}):
         return {}
+    target = primitive["targets"][0]
     stored = {name: file.json["accessors"][target[name]] for name in ("POSITION", "NORMAL") if name in target}
     if len(stored) < 2 or any(each["componentType"] != _FLOAT or "sparse" in each for each in stored.values()):
         return {}

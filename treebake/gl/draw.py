@@ -141,10 +141,11 @@ class Drawing:
         """Of one tree."""
         return self._mesh.triangles + (0 if self._overlay is None else self._overlay.triangles)
 
-    @property
-    def calls(self) -> int:
-        """Draw calls for any number of trees of a kind; what is looked into near by and flat farther off is two."""
-        return len(self._parts) + (self._overlay is not None)
+    def calls(self, view: View, grove: Grove) -> int:
+        """Draw calls that some trees take."""
+        trees = len(grove.turns)
+        own = (self._solid + (len(self._parts) - self._solid) * trees) if trees else 0
+        return own + (0 if self._overlay is None else self._overlay.calls(view, grove))
 
     def close(self) -> None:
         """Free everything on the graphics card; the drawing cannot be used afterwards."""

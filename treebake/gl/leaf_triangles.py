@@ -39,6 +39,10 @@ class LeafTriangles:
         """Add the fragments that the cards ask for to the framebuffer in use."""
         self._draw(self._counter, view, grove)
 
+    def calls(self, _view: View, grove: Grove) -> int:
+        """Draw calls that some trees take."""
+        return int(len(grove.turns) > 0)
+
     @property
     def triangles(self) -> int:
         """Of one tree."""

@@ -33,11 +33,11 @@ class SlicingCards:
 
         Two calls: one for the trees that are looked into, over one for those that are too far away for that.
         """
-        gl, slicings = self._gl, self._slicings
+        gl = self._gl
         gl.enable(gl.BLEND)
         gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
         onto.depth_mask = False
-        far, near = far_and_near(view, grove, slicings.center, slicings.size, RELIEF_HEIGHT)
+        far, near = self._far_and_near(view, grove)
         self._draw(self._plain, view, far)
         self._draw(self._relief, view, near)
         onto.depth_mask = True
@@ -45,6 +45,10 @@ class SlicingCards:
     def count(self, view: View, grove: Grove = ONE_TREE) -> None:
         """Add the fragments that every slice asks for to the framebuffer in use."""
         self._draw(self._counter, view, grove)
+
+    def calls(self, view: View, grove: Grove) -> int:
+        """Draw calls that some trees take."""
+        return sum(len(trees.turns) > 0 for trees in self._far_and_near(view, grove))
 
     @property
     def triangles(self) -> int:
@@ -55,6 +59,9 @@ class SlicingCards:
         """Free everything on the graphics card."""
         for texture in self._textures.values():
             texture.release()
+
+    def _far_and_near(self, view: View, grove: Grove) -> tuple[Grove, Grove]:
+        return far_and_near(view, grove, self._slicings.center, self._slicings.size, RELIEF_HEIGHT)
 
     def _draw(self, shader: moderngl.Program, view: View, grove: Grove) -> None:
         slicings = self._slicings

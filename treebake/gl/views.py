@@ -37,15 +37,13 @@ class ViewCards:
 
         Two calls: one for the trees that are looked into, over one for those that are too far away for that.
         """
-        gl, views = self._gl, self._views
+        gl = self._gl
         gl.enable(gl.BLEND)
         gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
-        at_once = (3 if views.layout == "hemi" else 2) * views.layers
-        pixels = RELIEF_HEIGHT if at_once <= _FLAT_LAYERS else 0.0
         # One that is vanishing must not hide what is drawn in its place.
         for trees, hides in zip(grove.whole_and_fading(), (True, False), strict=True):
             onto.depth_mask = hides
-            far, near = far_and_near(view, trees, views.center, 2 * views.radius, pixels)
+            far, near = self._far_and_near(view, trees)
             self._draw(self._plain, view, far)
             self._draw(self._relief, view, near)
         onto.depth_mask = True
@@ -53,6 +51,11 @@ class ViewCards:
     def count(self, view: View, grove: Grove = ONE_TREE) -> None:
         """Add the fragments that the card asks for to the framebuffer in use."""
         self._draw(self._counter, view, grove)
+
+    def calls(self, view: View, grove: Grove) -> int:
+        """Draw calls that some trees take."""
+        parts = [part for trees in grove.whole_and_fading() for part in self._far_and_near(view, trees)]
+        return sum(len(part.turns) > 0 for part in parts)
 
     @property
     def triangles(self) -> int:
@@ -63,6 +66,12 @@ class ViewCards:
         """Free everything on the graphics card."""
         for texture in self._textures.values():
             texture.release()
+
+    def _far_and_near(self, view: View, grove: Grove) -> tuple[Grove, Grove]:
+        views = self._views
+        at_once = (3 if views.layout == "hemi" else 2) * views.layers
+        pixels = RELIEF_HEIGHT if at_once <= _FLAT_LAYERS else 0.0
+        return far_and_near(view, grove, views.center, 2 * views.radius, pixels)
 
     def _draw(self, shader: moderngl.Program, view: View, grove: Grove) -> None:
         views = self._views

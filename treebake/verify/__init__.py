@@ -5,7 +5,7 @@ from treebake.verify.budget import BudgetSettings, check_budget, smallest
 from treebake.verify.cameras import CloseUp, cameras, close_ups
 from treebake.verify.figures import Figures
 from treebake.verify.forest_report import forest_facts, format_forest, write_forest_report
-from treebake.verify.ladder import Ladder, LadderSettings, check_ladder, ladder
+from treebake.verify.ladder import LadderSettings, check_ladder, ladder
 from treebake.verify.morph import Morphing, morphings
 from treebake.verify.protocol import JUDGED, Level, Report, Sample, VerifySettings, verify
 from treebake.verify.reference import SCALE
@@ -22,7 +22,6 @@ __all__ = [
     "Change",
     "CloseUp",
     "Figures",
-    "Ladder",
     "LadderSettings",
     "Level",
     "Morphing",

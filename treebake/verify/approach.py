@@ -1,11 +1,11 @@
 """What someone sees who walks up to a tree that changes its rungs: whether it pops."""
 
-import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -15,10 +15,9 @@ from treebake.gl.draw import Drawing
 from treebake.gl.scene import Scene
 from treebake.gl.view import ONE_TREE, View, looking
 from treebake.model import Doubles, Mesh
-from treebake.verify.cameras import FIELD_OF_VIEW, MARGIN, bounding_sphere
-from treebake.verify.ladder import drawn_as
+from treebake.verify.cameras import FIELD_OF_VIEW, MARGIN
 from treebake.verify.metrics import flip
-from treebake.verify.stands import Kind, Trees, stands
+from treebake.verify.stands import Kind, Trees, kind_of, stands
 from treebake.verify.switching import FADE
 
 _NEARER = 1.01  # from frame to frame: a step of 14 cm at 14 m
@@ -38,7 +37,7 @@ class Change:
     step: float
 
 
-def approach(asset: Asset, source: Mesh, progress: Callable[[int, int], None] | None = None) -> tuple[Change, ...]:
+def approach(asset: Asset, source: Mesh) -> tuple[Change, ...]:
     """Walk up to one tree through every change of its ladder, at elevation 0. O(changes (faces + pixels)).
 
     Raises AssetError and GraphicsError.
@@ -46,13 +45,11 @@ def approach(asset: Asset, source: Mesh, progress: Callable[[int, int], None] | 
     ladder = asset.manifest.ladder
     changes = []
     with ExitStack() as stack:
-        candidates = [drawn_as(asset, rung.representation, rung.level) for rung in ladder]
-        drawings = tuple(stack.enter_context(closing(Drawing(each.mesh, each.layers))) for each in candidates)
+        ours = kind_of(asset, source, stack)
+        center, radius = ours.center, ours.radius
         whole = stack.enter_context(closing(Drawing(source, exact_cutouts=True)))
-        center, radius = bounding_sphere(source)
-        ours = Kind(center, radius, drawings, tuple(rung.min_height for rung in ladder))
         theirs = Kind(center, radius, (whole,), (0,))
-        for number, (nearer, farther) in enumerate(itertools.pairwise(ladder)):
+        for nearer, farther in pairwise(ladder):
             top = nearer.min_height * _AROUND
             size = math.ceil(top) + MARGIN
             scene = stack.enter_context(closing(Scene((size, size))))
@@ -61,8 +58,6 @@ def approach(asset: Asset, source: Mesh, progress: Callable[[int, int], None] | 
             mine, own = (_steps(scene, views, kind) for kind in (ours, theirs))
             largest = float((mine / np.maximum(own, 1e-9)).max())
             changes.append(Change(nearer.min_height, nearer.representation, farther.representation, largest))
-            if progress:
-                progress(number + 1, len(ladder) - 1)
     return tuple(changes)
 
 

@@ -1,9 +1,8 @@
 """Find the smallest representation of an asset that is invisible at a height, within caps on triangles and bytes."""
 
-from collections.abc import Callable
+import logging
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 
 from treebake.asset import Asset, Rung
 from treebake.checks import check
@@ -12,9 +11,12 @@ from treebake.gl.draw import Drawing
 from treebake.model import Mesh
 from treebake.verify.cameras import bounding_sphere, cameras
 from treebake.verify.cost import Cost, cost_of
-from treebake.verify.ladder import MOST_MOVED, Candidate, candidates
+from treebake.verify.drawn_as import Candidate, candidates
+from treebake.verify.ladder import MOST_MOVED
 from treebake.verify.metrics import flips
 from treebake.verify.reference import reference
+
+LOG = logging.getLogger("treebake")
 
 _ELEVATIONS, _AZIMUTHS = (0.0, 25.0, 60.0), 4  # degrees; views at each
 
@@ -32,15 +34,12 @@ def smallest(
     asset: Asset,
     source: Mesh,
     settings: BudgetSettings,
-    cache: Path | None = None,
-    tried: Callable[[str, float], None] | None = None,
 ) -> Rung:
     """The representation with the fewest bytes that is invisible; where none is, the one that differs least.
 
     Whether it can be is told first by how far a cloud moves its leaves, in pixels; only then it is drawn. source: the
-    tree that the asset was baked from. cache: as for `verify`. tried: told what was drawn, and its FLIP over floor(1
-    px). O(candidates x views (faces + pixels)). Raises SettingsError, BudgetError where nothing is within the caps,
-    AssetError and GraphicsError.
+    tree that the asset was baked from. O(candidates x views (faces + pixels)).
+    Raises SettingsError, BudgetError where nothing is within the caps, AssetError and GraphicsError.
     """
     check_budget(settings)
     costs = {candidate: cost_of(candidate.mesh, candidate.layers) for candidate in candidates(asset)}
@@ -54,15 +53,14 @@ def smallest(
     pixel = 2 * bounding_sphere(source)[1] / settings.height
     near = [one for one in fitting if one.displacement <= MOST_MOVED * pixel] or fitting
     directions = cameras(source, _ELEVATIONS, _AZIMUTHS)
-    known = reference(source, None, directions, settings.height, cache, lambda _: None)
+    known = reference(source, None, directions, settings.height, None, lambda _: None)
     ratios: dict[Candidate, float] = {}
     for one in sorted(near, key=lambda one: costs[one].gpu_bytes):
         with closing(Drawing(one.mesh, one.layers)) as drawing:
             pictures = (drawing.picture(camera.view(settings.height)) for camera in directions)
             measured = flips(map(known.picture, range(len(directions))), pictures)
         ratios[one] = float(measured.mean() / known.floor_one.flip.mean())
-        if tried:
-            tried(one.representation, ratios[one])
+        LOG.info("budget: FLIP / floor(1 px) of %s is %.2f at %d px", one.name, ratios[one], settings.height)
         if ratios[one] <= 1:
             break
     best = min(ratios, key=lambda one: ratios[one])

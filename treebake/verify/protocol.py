@@ -116,7 +116,7 @@ def verify(
 
     candidate: one mesh, or one for each height; the greatest one's is looked at close up. layers: what belongs to the
     candidate and is drawn by its own shader. close: from where to look close up. cache: a folder where the source's
-     pictures and floors are kept, so that only the candidate is drawn the next time. trunk: the part of the
+    pictures and floors are kept, so that only the candidate is drawn the next time. trunk: the part of the
     source that is not foliage; without it, foliage_coverage is of the whole tree. progress: called with the views done
     and to do, from any thread, one call at a time. O(heights x views x (faces + pixels)).
 

@@ -1,15 +1,19 @@
 """Which trees of a forest are seen, and what each is drawn with: the ladder at work."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from treebake.asset import Asset
 from treebake.gl.draw import Drawing
 from treebake.gl.scene import Stand
 from treebake.gl.view import Grove, View
-from treebake.model import Doubles, Forest
+from treebake.model import Doubles, Forest, Mesh
+from treebake.verify.cameras import bounding_sphere
+from treebake.verify.drawn_as import drawn_as
 from treebake.verify.switching import switched
 
 _SHELL = 1.25  # blended trees are drawn in shells about the viewer, each so much farther than the next
@@ -27,6 +31,14 @@ class Kind:
     radius: float
     drawings: tuple[Drawing, ...]
     min_heights: tuple[int, ...]
+
+
+def kind_of(asset: Asset, source: Mesh, stack: ExitStack) -> Kind:
+    """A species as its ladder draws it, until the stack is closed. Raises AssetError and GraphicsError."""
+    ladder = asset.manifest.ladder
+    drawn = [drawn_as(asset, rung.representation, rung.level) for rung in ladder]
+    drawings = [stack.enter_context(closing(Drawing(each.mesh, each.layers))) for each in drawn]
+    return Kind(*bounding_sphere(source), tuple(drawings), tuple(rung.min_height for rung in ladder))
 
 
 @dataclass(frozen=True, eq=False)
