@@ -266,12 +266,14 @@ def _measured(
         files = Result.of_files([draft / file for file in files_of(asset.manifest)], lambda: asset)
         source = Result(f"{parts.digest}.whole", lambda: join(parts.value.trunk, parts.value.foliage))
         if not within_budget:
-            ladder_found: Ladder = work.run(ladder, settings.ladder, files, source).value
-            return baked, ladder_found
+            found: Ladder = work.run(ladder, settings.ladder, files, source).value
+            for rung in found.rungs:
+                _warn_if_seen(rung, "on the ladder")
+            return baked, found
         kept: Rung = work.run(smallest, settings.budget, files, source, name="budget").value
     finally:
         rmtree(draft, ignore_errors=True)
-    _warn_if_seen(kept, settings.budget.height)
+    _warn_if_seen(kept, f"within the budget at {settings.budget.height} px")
     return _only(baked, kept, asset.level_number(settings.budget.height))
 
 
@@ -297,12 +299,12 @@ def _only(baked: BakedTree, kept: Rung, level: int) -> tuple[BakedTree, Ladder]:
     return only, Ladder((kept,), (), (0,))
 
 
-def _warn_if_seen(kept: Rung, height: int) -> None:
+def _warn_if_seen(kept: Rung, where: str) -> None:
     if kept.flip_ratio > 1:
         LOG.warning(
-            "nothing within the budget is invisible at %d px; %s is kept, whose FLIP is %.2f times floor(1 px)",
-            height,
+            "%s %s is not invisible: its FLIP is %.2f times floor(1 px), and nothing else does better",
             kept.representation,
+            where,
             kept.flip_ratio,
         )
 

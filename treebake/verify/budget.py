@@ -71,7 +71,7 @@ def smallest(
 def check_budget(settings: BudgetSettings) -> None:
     """Raise SettingsError where a setting is out of range."""
     rules = (
-        ("height", 16 <= settings.height <= 2048, "16 to 2048"),
+        ("height", 16 <= settings.height <= 2048, "16 to 2048, the height that the budget is for"),
         ("triangles", settings.triangles >= 0, "0 or more"),
         ("bytes", settings.bytes >= 0, "0 or more"),
     )
