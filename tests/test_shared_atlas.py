@@ -18,7 +18,9 @@ QUICK = [
     item
     for assignment in (
         "indirect.enabled=false",
-        "ladder.enabled=false",
+        "ladder.heights=[32]",
+        "ladder.elevations=[0]",
+        "ladder.azimuths=1",
         "levels.enabled=false",
         "slicings.enabled=false",
         "textures.atlas=64",
@@ -99,6 +101,8 @@ def test_what_was_published_is_told_tree_by_tree(works: Path, first: Outcome) ->
     assert [asset["asset"] for asset in facts["assets"]] == [str(works / "out/a"), str(works / "out/b")]
     for name, told in zip("ab", facts["assets"], strict=True):
         assert (told["name"], told["views"]["file"]) == (name, "../shared_views/shared_views.glb")
+        ranked = {each["representation"]: each["file"] for each in told["ladder"] + told.get("left_out", [])}
+        assert ranked["views"] == "../shared_views/shared_views.glb"
 
 
 @pytest.mark.usefixtures("first")
@@ -106,7 +110,7 @@ def test_a_second_run_has_nothing_to_do(works: Path) -> None:
     again = treebake("textures", works / "work_a", works / "work_b", "--shared-atlas", "-o", works / "out", *QUICK)
     assert again.code == 0, again.err
     skipped = [line.split()[0] for line in again.lines if line.endswith("up to date")]
-    assert skipped == ["views", "billboards", "trunk", "billboards", "trunk"]
+    assert skipped == ["views", "billboards", "trunk", "billboards", "trunk", "ladder", "ladder"]
 
 
 @pytest.mark.usefixtures("first")

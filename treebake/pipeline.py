@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import rmtree
+from typing import TypeVar
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from treebake.asset import (
     SHARED,
     Asset,
     Ladder,
+    LeftOut,
     Rung,
     asset_bounds,
     files_of,
@@ -88,6 +90,8 @@ from treebake.verify import (
 from treebake.workspace import Result, Workspace
 
 LOG = logging.getLogger("treebake")
+
+T = TypeVar("T", Rung, LeftOut)
 
 _INDIRECT_CLUSTER = "indirect_cluster"  # the name of the second clustering's result
 
@@ -243,6 +247,8 @@ def _publish(work: Workspace, baked: BakedTree, folder: Path, shared: Path | Non
     command = _command(work)
     parts: Result[Tree] = work.read("split", command)
     published, measured = _measured(work, baked, parts, settings)
+    if shared and measured:  # the draft had the views beside it
+        measured = _with_views_in(measured, shared.as_posix())
     with work.announce("asset"):
         write_asset(published, folder, shared, measured)
     tree: Tree = work.read("twigs", command).value
@@ -275,6 +281,13 @@ def _measured(
         rmtree(draft, ignore_errors=True)
     _warn_if_seen(kept, f"within the budget at {settings.budget.height} px")
     return _only(baked, kept, asset.level_number(settings.budget.height))
+
+
+def _with_views_in(measured: Ladder, file: str) -> Ladder:
+    def moved(each: T) -> T:
+        return replace(each, file=file) if each.representation == "views" else each
+
+    return Ladder(tuple(map(moved, measured.rungs)), tuple(map(moved, measured.left_out)), measured.level_heights)
 
 
 def _only(baked: BakedTree, kept: Rung, level: int) -> tuple[BakedTree, Ladder]:

@@ -34,9 +34,10 @@ def read_asset(folder: Path) -> Asset:
 
 
 def files_of(manifest: Manifest) -> list[str]:
-    """Every file that a manifest names."""
+    """Every file that a manifest names, each once."""
     entries = [entry for entry in (manifest.indirect, manifest.slicings, manifest.views) if entry]
-    return [manifest.file, *(each.file for each in (*manifest.levels, *manifest.textures, *entries))]
+    told = (*manifest.levels, *manifest.textures, *entries, *manifest.ladder, *manifest.left_out)
+    return list(dict.fromkeys([manifest.file, *(each.file for each in told)]))
 
 
 class _Numbered(msgspec.Struct):
