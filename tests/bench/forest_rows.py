@@ -81,7 +81,7 @@ def _l4(run: Runner) -> Measured:
     from treebake.asset import read_asset
     from treebake.meshes import read_mesh
     from treebake.verify.cameras import MARGIN, cameras
-    from treebake.verify.representations import without
+    from treebake.verify.drawn_as import without
     from treebake.workspace import Workspace
 
     folder = run.asset("chestnut", *CHESTNUT)
