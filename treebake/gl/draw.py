@@ -116,8 +116,7 @@ class Drawing:
             self._overlay.draw(view, onto, grove)
         if self._solid < len(self._parts):
             center = self._mesh.bounds.mean(axis=0, dtype=np.float64)
-            away = np.linalg.norm(grove.where(center) - view.eye, axis=1)
-            for tree in np.argsort(-away, kind="stable"):
+            for tree in np.argsort(-grove.away(view.eye, center), kind="stable"):
                 self._draw_parts(self._parts[self._solid :], view, onto, grove.select(np.array([tree])))
 
     def count(self, view: View, grove: Grove) -> None:

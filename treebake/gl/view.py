@@ -89,6 +89,10 @@ class Grove:
         turned = np.stack([cosine * x + sine * z, np.full_like(cosine, y), cosine * z - sine * x], axis=1)
         return np.asarray(self.places[:, :3] + self.places[:, 3:] * turned, np.float64)
 
+    def away(self, eye: Doubles, point: Doubles) -> Doubles:
+        """How far a point (3,) of each tree is from the eye: (n,) float64."""
+        return np.asarray(np.linalg.norm(self.where(point) - eye, axis=1))
+
     def select(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Grove":
         """Some of the trees: chosen (n,) bool, or their numbers."""
         opacities = None if self.opacities is None else self.opacities[chosen]
@@ -103,8 +107,7 @@ class Grove:
         """Rows for `grove.glsl`, (n, 7) float32, the tree whose center is farthest from `eye` first."""
         opacities = np.ones(len(self.turns)) if self.opacities is None else self.opacities
         rows = np.column_stack([self.places, np.cos(self.turns), np.sin(self.turns), opacities])
-        away = np.linalg.norm(self.where(center) - eye, axis=1)
-        return np.ascontiguousarray(rows[np.argsort(-away, kind="stable")], np.float32)
+        return np.ascontiguousarray(rows[np.argsort(-self.away(eye, center), kind="stable")], np.float32)
 
 
 ONE_TREE = Grove(np.array([[0, 0, 0, 1]], np.float32), np.zeros(1, np.float32))

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,7 +15,7 @@ from treebake.gl.scene import Scene
 from treebake.gl.view import ONE_TREE, View, looking
 from treebake.model import Doubles, Mesh
 from treebake.verify.cameras import FIELD_OF_VIEW, MARGIN
-from treebake.verify.metrics import flip
+from treebake.verify.metrics import flips
 from treebake.verify.stands import Kind, Trees, kind_of, stands
 from treebake.verify.switching import FADE
 
@@ -73,5 +72,4 @@ def _steps(scene: Scene, views: Sequence[View], kind: Kind) -> Doubles:
     """FLIP from each frame to the next: (n - 1,) float64."""
     one = Trees(ONE_TREE, np.zeros(1, np.int32), kind.center[None], np.array([kind.radius]))
     pictures = [scene.picture(view, stands(view, one, np.zeros(1, np.intp), [kind])) for view in views]
-    with ThreadPoolExecutor(2) as pool:
-        return np.array(list(pool.map(flip, pictures[:-1], pictures[1:])))
+    return flips(pictures[:-1], pictures[1:])

@@ -17,7 +17,7 @@ from treebake.gl.draw import Drawing
 from treebake.gl.target import Picture
 from treebake.model import Mesh
 from treebake.verify.cameras import Camera
-from treebake.verify.metrics import score
+from treebake.verify.metrics import flips
 from treebake.verify.reference import reference
 
 
@@ -65,4 +65,4 @@ def _drawn(mesh: Mesh, views: Sequence[Camera], height: int) -> list[Picture]:
 
 
 def _flip(before: Sequence[Picture], after: Sequence[Picture]) -> float:
-    return float(np.mean([score(one, other).flip for one, other in zip(before, after, strict=True)]))
+    return float(flips(before, after).mean())

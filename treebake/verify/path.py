@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from treebake.geometry import turn_to
 from treebake.gl.view import View, looking
 from treebake.model import Doubles, Forest
 
@@ -44,11 +45,9 @@ def view_of(
     eye: Eye, window: tuple[int, int], field_of_view: float, depths: tuple[float, float], shift: float = 0.0
 ) -> View:
     """What is seen from there between two depths, (width, height) pixels large, moved right by `shift` pixels."""
-    angle = math.radians(eye.elevation)
-    turn = np.array([[1, 0, 0], [0, math.cos(angle), -math.sin(angle)], [0, math.sin(angle), math.cos(angle)]])
     width, height = window
     scale = 1 / math.tan(math.radians(field_of_view / 2))
-    return looking(turn, eye.place, scale, depths, height, shift, width / height)
+    return looking(turn_to(eye.elevation, 0.0), eye.place, scale, depths, height, shift, width / height)
 
 
 def _clear_lane(ground: Doubles, radius: float, reach: float) -> float:
