@@ -185,7 +185,8 @@ def by_hand(
     cards[0, 1] = width, 0, 0, -1 if mirrored else 1
     cards[0, 2] = 0, -height, 0, twig
     shapes = np.array([[width / height, 1, 0, twig, *front, *back, 0.5, 0.5, 0.5, 0.5]], np.float32)
-    return LeafCards(cards, shapes, Texture("color", pixels), Texture("normal", normals))
+    ambient = np.full((len(cards), 4), 255, np.uint8)
+    return LeafCards(cards, shapes, Texture("color", pixels), Texture("normal", normals), ambient)
 
 
 def view_from(azimuth: float, elevation: float = 0.0, size: int = PIXELS) -> View:

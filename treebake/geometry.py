@@ -161,7 +161,10 @@ def turn_to(elevation: float, azimuth: float) -> Doubles:
 
 
 def join(first: Mesh, second: Mesh) -> Mesh:
-    """Both meshes in one; materials and nodes that they share stay shared. Where only one can morph the other stays."""
+    """Both meshes in one; materials and nodes that they share stay shared.
+
+    Where only one can morph the other stays; where only one is occluded the other sees the whole sky.
+    """
     materials = first.materials + tuple(m for m in second.materials if m not in first.materials)
     nodes = first.nodes + tuple(n for n in second.nodes if n not in first.nodes)
     material = np.array([materials.index(m) for m in second.materials], np.int32)
@@ -176,7 +179,18 @@ def join(first: Mesh, second: Mesh) -> Mesh:
         materials=materials,
         nodes=nodes,
         morph=_joined_morph(first, second),
+        occlusion_uvs=_joined(first.occlusion_uvs, second.occlusion_uvs, first.uvs, second.uvs),
+        occlusion=_joined(
+            first.occlusion, second.occlusion, *(np.ones(len(m.uvs), np.float32) for m in (first, second))
+        ),
     )
+
+
+def _joined(first: Floats | None, second: Floats | None, first_own: Floats, second_own: Floats) -> Floats | None:
+    """What vertices have, with what stands for it in a mesh that lacks it; None where both do."""
+    if first is None and second is None:
+        return None
+    return np.concatenate([first_own if first is None else first, second_own if second is None else second])
 
 
 def _joined_morph(first: Mesh, second: Mesh) -> Morph | None:

@@ -24,4 +24,5 @@ def leaf_cards(textures: IndirectTextures) -> LeafCards:
     cards[:, 0] = np.column_stack([center, shape])
     cards[:, 1] = np.column_stack([sides[:, :, 0], np.where(leaves.mirrored, -1, 1)])
     cards[:, 2] = np.column_stack([sides[:, :, 1], leaves.rod])
-    return LeafCards(cards, textures.shapes, textures.leaf_color, textures.leaf_normal)
+    ambient = textures.ambient.reshape(-1, 4)[: textures.leaves]
+    return LeafCards(cards, textures.shapes, textures.leaf_color, textures.leaf_normal, ambient, textures.transmission)

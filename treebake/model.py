@@ -47,17 +47,36 @@ class Texture:
         return bool((self.pixels[..., 3] < 255).any())
 
 
+@dataclass(frozen=True)
+class Transmission:
+    """Light that a thin surface lets through to its other side, scattered (KHR_materials_diffuse_transmission).
+
+    factor: what part of the light that is not absorbed goes through instead of back, 0 to 1. color: linear RGB, factor
+    on the colour map for what goes through; the base colour does not count there.
+    """
+
+    factor: float
+    color: tuple[float, float, float]
+
+
 @dataclass(frozen=True, eq=False)
 class Material:
-    """The part of a glTF material that treebake draws.
+    """The part of a glTF material that treebake draws or hands on.
 
-    base_color: linear RGBA factor on the colour map. normal_map: tangent space, +Y up (glTF).
+    base_color: linear RGBA factor on the colour map. normal_map: tangent space, +Y up (glTF). occlusion_map: R is the
+    part of the sky that is seen; it weakens light from the sky, never colour. roughness_map: G is roughness, B metal,
+    as factors on `roughness` and `metallic`. transmission: None where nothing goes through.
     """
 
     name: str
     base_color: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
     color_map: Texture | None = None
     normal_map: Texture | None = None
+    occlusion_map: Texture | None = None
+    roughness_map: Texture | None = None
+    roughness: float = 1.0
+    metallic: float = 0.0
+    transmission: Transmission | None = None
     alpha_mode: AlphaMode = AlphaMode.OPAQUE
     alpha_cutoff: float = 0.5
     double_sided: bool = False
@@ -84,8 +103,9 @@ class Mesh:
 
     positions: (V, 3) float32. normals: (V, 3) float32, unit. uvs: (V, 2) float32. faces: (F, 3) int32 into the
     vertices. face_material: (F,) int32 into `materials`. face_node: (F,) int32 into `nodes` (the names of the file's
-    nodes). morph: what it can be morphed into, by linear interpolation. A mesh may be empty (no faces); a vertex may be
-    unused.
+    nodes). morph: what it can be morphed into, by linear interpolation. occlusion_uvs: (V, 2) float32, where occlusion
+    maps are looked up; None: at `uvs`. occlusion: (V,) float32, the part of the sky that each vertex sees, 0 to 1, as a
+    factor on the map; None: all of it, or it is not known. A mesh may be empty (no faces); a vertex may be unused.
     """
 
     positions: Floats
@@ -97,6 +117,8 @@ class Mesh:
     materials: tuple[Material, ...]
     nodes: tuple[str, ...]
     morph: Morph | None = None
+    occlusion_uvs: Floats | None = None
+    occlusion: Floats | None = None
 
     @property
     def triangles(self) -> int:
@@ -139,6 +161,8 @@ class Mesh:
             materials=self.materials,
             nodes=self.nodes,
             morph=self.morph and self.morph[used],
+            occlusion_uvs=None if self.occlusion_uvs is None else self.occlusion_uvs[used],
+            occlusion=None if self.occlusion is None else self.occlusion[used],
         )
 
     def morphed(self, weight: float) -> "Mesh":
@@ -283,7 +307,8 @@ class IndirectTextures:
     each leaf see (left top, right top, right bottom, left bottom), beside its placement.
     leaves: how many placements there are. largest: half the height of the largest leaf, in cells.
     leaf_color, leaf_normal: one image per shape and side; the second holds the normal's right and up in RG and the
-    relief's height in B. far_color, far_normal: all billboards at `far_texels` a hash cell, for what is not looked up.
+    relief's height in B. far_color, far_normal: all billboards at `far_texels` a hash cell, for what is not looked up;
+    the second holds the part of the sky that is seen in A. transmission: of the leaves, not of twigs.
     """
 
     billboards: Floats
@@ -298,6 +323,7 @@ class IndirectTextures:
     leaf_normal: Texture
     far_color: Texture
     far_normal: Texture
+    transmission: Transmission | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,7 +332,8 @@ class PictureAtlas:
 
     coverage: grey, what part of each texel is covered. The others have half its width and height. albedo: sRGB,
     without light. relief: RG are the surface's slopes to the picture's right and up, -4 to 4; B is depth, from the far
-    end of the picture's range to the viewer's. mips: how many of the coverage's, below its first one, show nothing of
+    end of the picture's range to the viewer's. occlusion: grey, the part of the sky that is seen, an eighth as wide and
+    high as the coverage. mips: how many of the coverage's, below its first one, show nothing of
     a picture's neighbours.
     """
 
@@ -314,6 +341,7 @@ class PictureAtlas:
     albedo: Texture
     relief: Texture
     mips: int
+    occlusion: Texture | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -342,6 +370,7 @@ class Slicings:
     exposure: float
     atlas: PictureAtlas
     untrimmed: int
+    transmission: Transmission | None = None
 
     @property
     def rectangles(self) -> int:
@@ -376,7 +405,7 @@ class Views:
     layout: "ring", K views around the tree from +Z towards +X, or "hemi", side x side of them on a hemi-octahedron.
     side: K, or views along a side. layers: L. center: (3,) float64. radius: of the sphere about it that holds all.
     support: (33,) float32, how far the tree reaches at elevations from -90 to 90 degrees, however turned.
-    brightness, exposure: as in Slicings. The atlas may be that of other trees too.
+    brightness, exposure, transmission: as in Slicings. The atlas may be that of other trees too.
     """
 
     pictures: Floats
@@ -389,6 +418,7 @@ class Views:
     brightness: float
     exposure: float
     atlas: PictureAtlas
+    transmission: Transmission | None = None
 
     @property
     def triangles(self) -> int:
@@ -402,13 +432,16 @@ class LeafCards:
 
     cards: (N, 3, 4) float32, in the tree's frame: center and shape; half the width along the image's right, and -1
     where the image is reversed sidewards; half the height along its down, and 1 for a twig, which turns about it to
-    face the viewer. shapes, leaf_color, leaf_normal: as in IndirectTextures.
+    face the viewer. shapes, leaf_color, leaf_normal, transmission: as in IndirectTextures. ambient: (N, 4) uint8, that
+    of each leaf.
     """
 
     cards: Floats
     shapes: Floats
     leaf_color: Texture
     leaf_normal: Texture
+    ambient: Bytes
+    transmission: Transmission | None = None
 
     @property
     def triangles(self) -> int:

@@ -41,17 +41,18 @@ def _nowhere() -> moderngl.Framebuffer:
     return context().simple_framebuffer((1, 1))
 
 
-def program(name: str) -> moderngl.Program:
+def program(name: str, *defines: str) -> moderngl.Program:
     """Compile `shaders/NAME.glsl`: both stages in one file, told apart by VERTEX_STAGE and FRAGMENT_STAGE.
 
-    A line `#include "other.glsl"` is replaced by that file.
+    A line `#include "other.glsl"` is replaced by that file. defines: names of a variant; a software renderer runs both
+    sides of every branch, so what is drawn in another way is a variant and no branch.
     """
-    return _program(context(), name)
+    return _program(context(), name, *defines)
 
 
 @cache
-def _program(gl: moderngl.Context, name: str) -> moderngl.Program:
-    source = _source(f"{name}.glsl")
+def _program(gl: moderngl.Context, name: str, *defines: str) -> moderngl.Program:
+    source = "".join(f"#define {define}\n" for define in defines) + _source(f"{name}.glsl")
     head = "#version 330 core\n#define {}_STAGE\n"
     return gl.program(vertex_shader=head.format("VERTEX") + source, fragment_shader=head.format("FRAGMENT") + source)
 

@@ -160,7 +160,8 @@ class Drawing:
 
     def _upload(self, mesh: Mesh) -> None:
         gl = self._gl
-        self._program, self._counter = program("lit_exact" if self._exact_cutouts else "lit"), program("count")
+        self._program = program("lit", *["EXACT_CUTOUTS"] * self._exact_cutouts)
+        self._counter = program("count")
         self._buffers = [
             (self._own(gl.buffer(np.ascontiguousarray(values, np.float32))), layout, name)
             for values, layout, name in (

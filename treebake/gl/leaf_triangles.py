@@ -18,7 +18,10 @@ class LeafTriangles:
 
     def __init__(self, gl: moderngl.Context, leaves: LeafCards) -> None:
         self._gl, self._counter = gl, program("leaf_triangles_count")
-        self._programs = {1: program("leaf_triangles"), 4: program("leaf_triangles_4")}  # by samples of a pixel
+        self._programs = {
+            1: program("leaf_triangles"),
+            4: program("leaf_triangles", "FOUR_SAMPLES"),
+        }  # by samples of a pixel
         count = self._count = len(leaves.cards)
         rows = np.zeros((-(-count // _ROW) * _ROW, 3, 4), np.float32)
         rows[:count] = leaves.cards

@@ -38,7 +38,6 @@ _CODE = (
     "gl/shaders/grove.glsl",
     "gl/shaders/lighting.glsl",
     "gl/shaders/lit.glsl",
-    "gl/shaders/lit_exact.glsl",
     "gl/shaders/normal_map.glsl",
     "gl/shaders/samples.glsl",
     "verify/cameras.py",
