@@ -30,7 +30,12 @@ def draw_cards(
         texture.use(unit)
         if name in shader:
             shader[name] = unit
-    seen = {"to_clip": column_major(view.to_clip), "eye": tuple(view.eye), "center": tuple(center), "focus": view.focus}
+    seen = {
+        "to_clip": column_major(view.to_clip),
+        "eye": tuple(view.eye),
+        "center": tuple(center),
+        "focus": view.eye_focus,
+    }
     for name, value in {**seen, **values}.items():
         if name in shader:
             shader[name] = value
@@ -44,5 +49,5 @@ def far_and_near(view: View, grove: Grove, center: Doubles, size: float, pixels:
 
     One distance for all, so that what is drawn first lies behind what is drawn second. size: of the tree, unscaled.
     """
-    near = grove.away(view.eye, center) * pixels <= size * view.focus * grove.places[:, 3].max(initial=0)
+    near = grove.away(view.eye, center) * pixels <= size * view.eye_focus * grove.places[:, 3].max(initial=0)
     return grove.select(~near), grove.select(near)

@@ -9,6 +9,10 @@ from treebake.errors import GraphicsError
 
 _SHADERS = Path(__file__).parent / "shaders"
 
+# Where all shaders find what lights them.
+LIGHT_BLOCK = 0
+SHADOW_UNIT = 15
+
 
 @cache
 def context() -> moderngl.Context:
@@ -54,7 +58,12 @@ def program(name: str, *defines: str) -> moderngl.Program:
 def _program(gl: moderngl.Context, name: str, *defines: str) -> moderngl.Program:
     source = "".join(f"#define {define}\n" for define in defines) + _source(f"{name}.glsl")
     head = "#version 330 core\n#define {}_STAGE\n"
-    return gl.program(vertex_shader=head.format("VERTEX") + source, fragment_shader=head.format("FRAGMENT") + source)
+    made = gl.program(vertex_shader=head.format("VERTEX") + source, fragment_shader=head.format("FRAGMENT") + source)
+    if "Light" in made:
+        made["Light"].binding = LIGHT_BLOCK
+    if "shadow_map" in made:
+        made["shadow_map"] = SHADOW_UNIT
+    return made
 
 
 def _source(name: str) -> str:

@@ -22,8 +22,11 @@ from treebake.gl.context import context, leave_framebuffer, program
 from treebake.gl.indirect import IndirectBillboards
 from treebake.gl.instances import instanced
 from treebake.gl.leaf_triangles import LeafTriangles
+from treebake.gl.light import DAYLIGHT, Light, Shading, transmitted
+from treebake.gl.shadow import ShadowMap, shine_through
 from treebake.gl.slicings import SlicingCards
 from treebake.gl.target import Picture, Target
+from treebake.gl.textures import WHITE
 from treebake.gl.view import ONE_TREE, Grove, View, column_major
 from treebake.gl.views import ViewCards
 from treebake.model import (
@@ -43,7 +46,6 @@ _RGBA8, _SRGB8_ALPHA8 = 0x8058, 0x8C43
 _INDEX_BYTES = 4
 _ALPHA_MODES = {AlphaMode.OPAQUE: 0, AlphaMode.MASK: 1, AlphaMode.BLEND: 2}
 _OVERLAYS = {IndirectTextures: IndirectBillboards, LeafCards: LeafTriangles, Slicings: SlicingCards, Views: ViewCards}
-_WHITE = Texture("white", np.full((1, 1, 4), 255, np.uint8))
 
 
 def renderer() -> str:
@@ -85,14 +87,19 @@ class Drawing:
             self.close()
             raise
 
-    def picture(self, view: View) -> Picture:
-        """Draw one tree lit, over nothing."""
+    def picture(self, view: View, light: Light = DAYLIGHT, shadows: ShadowMap | None = None) -> Picture:
+        """Draw one tree lit, over nothing.
+
+        Without shadows as a client without them does, and the whole sky shines everywhere; with them it is behind what
+        they hide, the sky is occluded, and light comes through leaves.
+        """
+        shading = shine_through(shadows, light)
         target = self._target(view.window)
         target.samples.depth_mask = True
         target.samples.clear()
         with self._gl.scope(target.samples, self._gl.DEPTH_TEST):
-            self.draw_solid(view, target.samples, ONE_TREE)
-            self.draw_blended(view, target.samples, ONE_TREE)
+            self.draw_solid(view, target.samples, ONE_TREE, shading)
+            self.draw_blended(view, target.samples, ONE_TREE, shading)
         return target.picture(view)
 
     def fragments(self, view: View) -> float:
@@ -104,25 +111,29 @@ class Drawing:
             self.count(view, ONE_TREE)
         return target.total()
 
-    def draw_solid(self, view: View, onto: moderngl.Framebuffer, grove: Grove) -> None:
+    def draw_solid(
+        self, view: View, onto: moderngl.Framebuffer, grove: Grove, shading: Shading = Shading.PLAIN
+    ) -> None:
         """Draw the part of some trees that hides what is behind it, into `onto`, the framebuffer in use."""
-        self._draw_parts(self._parts[: self._solid], view, onto, grove)
+        self._draw_parts(self._parts[: self._solid], view, onto, grove, shading)
         if isinstance(self._overlay, (IndirectBillboards, LeafTriangles)):
-            self._overlay.draw(view, onto, grove)
+            self._overlay.draw(view, onto, grove, shading)
 
-    def draw_blended(self, view: View, onto: moderngl.Framebuffer, grove: Grove) -> None:
+    def draw_blended(
+        self, view: View, onto: moderngl.Framebuffer, grove: Grove, shading: Shading = Shading.PLAIN
+    ) -> None:
         """Draw what is blended over what is there already: last of all, and of several drawings the farthest first."""
         if isinstance(self._overlay, (SlicingCards, ViewCards)):
-            self._overlay.draw(view, onto, grove)
+            self._overlay.draw(view, onto, grove, shading)
         if self._solid < len(self._parts):
             center = self._mesh.bounds.mean(axis=0, dtype=np.float64)
             for tree in np.argsort(-grove.away(view.eye, center), kind="stable"):
-                self._draw_parts(self._parts[self._solid :], view, onto, grove.select(np.array([tree])))
+                self._draw_parts(self._parts[self._solid :], view, onto, grove.select(np.array([tree])), shading)
 
     def count(self, view: View, grove: Grove) -> None:
         """Add the fragments that some trees ask to be shaded to the framebuffer in use, which adds up."""
         if self._parts and len(grove.turns):
-            with self._instanced(self._counter, self._buffers[:1], view, grove) as array:
+            with self._instanced(self._counter, view, grove) as array:
                 self._counter["to_clip"] = column_major(view.to_clip)
                 for part in self._parts:
                     self._cull(part.material)
@@ -160,7 +171,6 @@ class Drawing:
 
     def _upload(self, mesh: Mesh) -> None:
         gl = self._gl
-        self._program = program("lit", *["EXACT_CUTOUTS"] * self._exact_cutouts)
         self._counter = program("count")
         self._buffers = [
             (self._own(gl.buffer(np.ascontiguousarray(values, np.float32))), layout, name)
@@ -168,13 +178,15 @@ class Drawing:
                 (mesh.positions, "3f", "in_position"),
                 (mesh.normals, "3f", "in_normal"),
                 (mesh.uvs, "2f", "in_uv"),
+                (mesh.uvs if mesh.occlusion_uvs is None else mesh.occlusion_uvs, "2f", "in_occlusion_uv"),
+                (np.ones(len(mesh.uvs)) if mesh.occlusion is None else mesh.occlusion, "1f", "in_occlusion"),
             )
         ]
         self._indices = self._own(gl.buffer(np.ascontiguousarray(self._faces, np.int32)))
         for part in self._parts:
-            self._texture(part.material.color_map or _WHITE, srgb=True)
-            if part.material.normal_map is not None:
-                self._texture(part.material.normal_map, srgb=False)
+            self._texture(part.material.color_map or WHITE, srgb=True)
+            for texture in (part.material.normal_map, part.material.occlusion_map):
+                self._texture(texture or WHITE, srgb=False)
 
     def _texture(self, texture: Texture, *, srgb: bool) -> moderngl.Texture:
         key = id(texture), srgb
@@ -199,36 +211,48 @@ class Drawing:
         return self._textures[key]
 
     def _instanced(
-        self, shader: moderngl.Program, buffers: list[Any], view: View, grove: Grove
+        self, shader: moderngl.Program, view: View, grove: Grove
     ) -> AbstractContextManager[moderngl.VertexArray]:
         """The mesh with an instance for each tree, the nearest first: it hides most of the others."""
         center = self._mesh.bounds.mean(axis=0, dtype=np.float64)
+        buffers = [buffer for buffer in self._buffers if buffer[-1] in shader]
         return instanced(self._gl, shader, grove.instances(view.eye, center)[::-1], buffers, self._indices)
 
-    def _draw_parts(self, parts: "list[_Part]", view: View, onto: Any, grove: Grove) -> None:
+    def _draw_parts(self, parts: "list[_Part]", view: View, onto: Any, grove: Grove, shading: Shading) -> None:
         if parts and len(grove.turns):
             self._gl.blend_func = self._gl.ONE, self._gl.ONE_MINUS_SRC_ALPHA
-            with self._instanced(self._program, self._buffers, view, grove) as array:
+            lit = program("lit", *shading.value, *["EXACT_CUTOUTS"] * self._exact_cutouts)
+            with self._instanced(lit, view, grove) as array:
                 for part in parts:
-                    self._draw(part, view, onto, array, grove)
+                    blend = part.material.alpha_mode is AlphaMode.BLEND and shading is not Shading.CASTER
+                    self._draw(part, lit, view, onto, array, grove, blend)
 
-    def _draw(self, part: "_Part", view: View, onto: Any, array: Any, grove: Grove) -> None:
-        gl, material, lit = self._gl, part.material, self._program
-        blend = material.alpha_mode is AlphaMode.BLEND
+    def _draw(
+        self, part: "_Part", lit: moderngl.Program, view: View, onto: Any, array: Any, grove: Grove, blend: bool
+    ) -> None:
+        gl, material = self._gl, part.material
         (gl.enable if blend else gl.disable)(gl.BLEND)
         onto.depth_mask = not blend
         if blend:
             self._indices.write(self._back_to_front(part, view, grove), offset=3 * _INDEX_BYTES * part.first)
         self._cull(material)
-        lit["to_clip"] = column_major(view.to_clip)
-        lit["base_color"] = material.base_color
-        lit["alpha_mode"] = _ALPHA_MODES[material.alpha_mode]
-        lit["alpha_cutoff"] = material.alpha_cutoff
-        lit["has_normal_map"] = material.normal_map is not None
-        lit["color_map"], lit["normal_map"] = 0, 1
-        self._texture(material.color_map or _WHITE, srgb=True).use(0)
-        if material.normal_map is not None:
-            self._texture(material.normal_map, srgb=False).use(1)
+        values = {
+            "to_clip": column_major(view.to_clip),
+            "base_color": material.base_color,
+            "alpha_mode": _ALPHA_MODES[material.alpha_mode],
+            "alpha_cutoff": material.alpha_cutoff,
+            "has_normal_map": material.normal_map is not None,
+            "transmission": _on_base_color(material),
+            "color_map": 0,
+            "normal_map": 1,
+            "occlusion_map": 2,
+        }
+        for name, value in values.items():
+            if name in lit:
+                lit[name] = value
+        self._texture(material.color_map or WHITE, srgb=True).use(0)
+        self._texture(material.normal_map or WHITE, srgb=False).use(1)
+        self._texture(material.occlusion_map or WHITE, srgb=False).use(2)
         part.render(array)
 
     def _back_to_front(self, part: "_Part", view: View, grove: Grove) -> Ints:
@@ -250,6 +274,13 @@ class Drawing:
     def _own(self, resource: Any) -> Any:
         self._owned.append(resource)
         return resource
+
+
+def _on_base_color(material: Material) -> tuple[float, float, float, float]:
+    """What a material lets through, as factors on the colour map times the base colour."""
+    *color, factor = transmitted(material.transmission)
+    red, green, blue = (c / max(base, 1e-6) for c, base in zip(color, material.base_color[:3], strict=True))
+    return red, green, blue, factor
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ import numpy as np
 
 from treebake.gl.context import program
 from treebake.gl.instances import instanced
+from treebake.gl.light import Shading, transmitted
 from treebake.gl.textures import upload_compressed, upload_table
 from treebake.gl.view import ONE_TREE, Grove, View, column_major
 from treebake.model import IndirectTextures
@@ -21,28 +22,34 @@ class IndirectBillboards:
     """The tables on the graphics card; the images go through block compression, as an engine would keep them."""
 
     def __init__(self, gl: moderngl.Context, textures: IndirectTextures) -> None:
-        self._gl, self._program = gl, program("indirect")
+        self._gl = gl
         self._billboards = len(textures.billboards)
-        self._largest = textures.largest
+        self._largest, self._transmission = textures.largest, transmitted(textures.transmission)
         tables = {
             "billboards": (textures.billboards.reshape(self._billboards, -1, 4), "f4"),
             "shapes": (textures.shapes.reshape(len(textures.shapes), -1, 4), "f4"),
             "hash_texture": (textures.hash_texture[..., None], "u4"),
             "lists_texture": (textures.lists_texture[..., None], "u2"),
             "placements": (textures.placements, "u4"),
+            "ambient": (textures.ambient, "f1"),
         }
         self._textures = {name: upload_table(gl, *table, _HINT) for name, table in tables.items()}
         for name in ("leaf_color", "leaf_normal", "far_color", "far_normal"):
             self._textures[name] = upload_compressed(gl, getattr(textures, name), _HINT, srgb=name.endswith("color"))
         self._counter = program("indirect_count")
 
-    def draw(self, view: View, onto: moderngl.Framebuffer, grove: Grove = ONE_TREE) -> None:
+    def draw(
+        self, view: View, onto: moderngl.Framebuffer, grove: Grove = ONE_TREE, shading: Shading = Shading.PLAIN
+    ) -> None:
         """Draw all billboards of all trees into `onto`, the framebuffer in use; depth is tested and written."""
         onto.depth_mask = True
-        shader = self._program
+        shader = program("indirect", *shading.value)
         for unit, (name, texture) in enumerate(self._textures.items()):
             texture.use(unit)
-            shader[name] = unit
+            if name in shader:
+                shader[name] = unit
+        if "transmission" in shader:
+            shader["transmission"] = self._transmission
         shader["largest"] = self._largest
         shader["from_clip"] = column_major(np.asarray(np.linalg.inv(view.to_clip), np.float64))
         shader["window"] = view.window

@@ -5,6 +5,7 @@ import numpy as np
 
 from treebake.gl.context import program
 from treebake.gl.instances import instanced
+from treebake.gl.light import Shading, transmitted
 from treebake.gl.textures import upload_compressed, upload_table
 from treebake.gl.view import ONE_TREE, Grove, View, column_major
 from treebake.model import LeafCards
@@ -18,25 +19,28 @@ class LeafTriangles:
 
     def __init__(self, gl: moderngl.Context, leaves: LeafCards) -> None:
         self._gl, self._counter = gl, program("leaf_triangles_count")
-        self._programs = {
-            1: program("leaf_triangles"),
-            4: program("leaf_triangles", "FOUR_SAMPLES"),
-        }  # by samples of a pixel
         count = self._count = len(leaves.cards)
         rows = np.zeros((-(-count // _ROW) * _ROW, 3, 4), np.float32)
         rows[:count] = leaves.cards
+        seen = np.full((len(rows), 4), 255, np.uint8)
+        seen[:count] = leaves.ambient
+        self._transmission = transmitted(leaves.transmission)
         self._textures = {
             "cards": upload_table(gl, rows.reshape(-1, 3 * _ROW, 4), "f4", _HINT),
+            "ambient": upload_table(gl, seen.reshape(-1, _ROW, 4), "f1", _HINT),
             "shapes": upload_table(gl, leaves.shapes.reshape(len(leaves.shapes), -1, 4), "f4", _HINT),
             "leaf_color": upload_compressed(gl, leaves.leaf_color, _HINT, srgb=True),
             "leaf_normal": upload_compressed(gl, leaves.leaf_normal, _HINT, srgb=False),
         }
 
-    def draw(self, view: View, onto: moderngl.Framebuffer, grove: Grove = ONE_TREE) -> None:
+    def draw(
+        self, view: View, onto: moderngl.Framebuffer, grove: Grove = ONE_TREE, shading: Shading = Shading.PLAIN
+    ) -> None:
         """Draw all leaves of all trees into `onto`, the framebuffer in use; depth is tested and written."""
         onto.depth_mask = True
         self._gl.disable(self._gl.BLEND)
-        self._draw(self._programs[4 if onto.samples > 1 else 1], view, grove)
+        variant = [*shading.value, *["FOUR_SAMPLES"] * (onto.samples > 1)]
+        self._draw(program("leaf_triangles", *variant), view, grove)
 
     def count(self, view: View, grove: Grove = ONE_TREE) -> None:
         """Add the fragments that the cards ask for to the framebuffer in use."""
@@ -64,7 +68,8 @@ class LeafTriangles:
             if name in shader:
                 shader[name] = unit
         shader["to_clip"] = column_major(view.to_clip)
-        for name, value in (("eye", tuple(view.eye)), ("focus", view.focus)):
+        values = {"eye": tuple(view.eye), "focus": view.focus, "transmission": self._transmission}
+        for name, value in values.items():
             if name in shader:
                 shader[name] = value
         self._gl.disable(self._gl.CULL_FACE)

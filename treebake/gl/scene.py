@@ -7,6 +7,8 @@ import moderngl
 
 from treebake.gl.context import context, leave_framebuffer
 from treebake.gl.draw import Drawing
+from treebake.gl.light import DAYLIGHT, Light, Shading
+from treebake.gl.shadow import ShadowMap, shine_through
 from treebake.gl.target import Picture, Target
 from treebake.gl.view import Grove, View
 
@@ -30,14 +32,16 @@ class Scene:
         self._target = Target(self._gl, window)
         self._plain = self._gl.framebuffer([self._gl.renderbuffer(window, 4)], self._gl.depth_renderbuffer(window))
 
-    def picture(self, view: View, stands: Sequence[Stand]) -> Picture:
-        """What the view sees, over nothing, with 4 samples a pixel."""
-        self._draw(self._target.samples, view, stands)
+    def picture(
+        self, view: View, stands: Sequence[Stand], light: Light = DAYLIGHT, shadows: ShadowMap | None = None
+    ) -> Picture:
+        """What the view sees, over nothing, with 4 samples a pixel, lit as `Drawing.picture` is."""
+        self._draw(self._target.samples, view, stands, shine_through(shadows, light))
         return self._target.picture(view)
 
     def draw(self, view: View, stands: Sequence[Stand]) -> None:
         """Draw with one sample a pixel and keep nothing; returns when all is done, so that it can be timed."""
-        self._draw(self._plain, view, stands)
+        self._draw(self._plain, view, stands, shine_through(None, DAYLIGHT))
         self._gl.finish()
 
     def fragments(self, view: View, stands: Sequence[Stand]) -> float:
@@ -56,11 +60,11 @@ class Scene:
         self._plain.release()
         self._target.release()
 
-    def _draw(self, onto: moderngl.Framebuffer, view: View, stands: Sequence[Stand]) -> None:
+    def _draw(self, onto: moderngl.Framebuffer, view: View, stands: Sequence[Stand], shading: Shading) -> None:
         onto.depth_mask = True
         onto.clear()
         with self._gl.scope(onto, self._gl.DEPTH_TEST):
             for stand in reversed(stands):  # the nearest first: they hide much of the others
-                stand.drawing.draw_solid(view, onto, stand.grove)
+                stand.drawing.draw_solid(view, onto, stand.grove, shading)
             for stand in stands:
-                stand.drawing.draw_blended(view, onto, stand.grove)
+                stand.drawing.draw_blended(view, onto, stand.grove, shading)

@@ -5,6 +5,7 @@ import numpy as np
 
 from treebake.gl.cards import draw_cards, far_and_near
 from treebake.gl.context import program
+from treebake.gl.light import Shading, transmitted
 from treebake.gl.textures import upload_atlas, upload_table
 from treebake.gl.view import ONE_TREE, Grove, View
 from treebake.model import Slicings
@@ -21,25 +22,27 @@ class SlicingCards:
 
     def __init__(self, gl: moderngl.Context, slicings: Slicings) -> None:
         self._gl, self._slicings = gl, slicings
-        self._plain, self._relief = program("slicings_plain"), program("slicings")
         self._counter = program("slicings_count")
         self._textures = {
             "slices": upload_table(gl, slicings.slices, "f4", _HINT),
             **upload_atlas(gl, slicings.atlas, _HINT),
         }
 
-    def draw(self, view: View, onto: moderngl.Framebuffer, grove: Grove = ONE_TREE) -> None:
-        """Draw all trees over what is in `onto`, the framebuffer in use; depth is tested, not written.
+    def draw(
+        self, view: View, onto: moderngl.Framebuffer, grove: Grove = ONE_TREE, shading: Shading = Shading.PLAIN
+    ) -> None:
+        """Draw all trees over what is in `onto`, the framebuffer in use; depth is tested, and written by casters alone.
 
         Two calls: one for the trees that are looked into, over one for those that are too far away for that.
         """
         gl = self._gl
-        gl.enable(gl.BLEND)
+        casts = shading is Shading.CASTER
+        (gl.disable if casts else gl.enable)(gl.BLEND)
         gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
-        onto.depth_mask = False
+        onto.depth_mask = casts
         far, near = self._far_and_near(view, grove)
-        self._draw(self._plain, view, far)
-        self._draw(self._relief, view, near)
+        self._draw(program("slicings_plain", *shading.value), view, far)
+        self._draw(program("slicings", *shading.value), view, near)
         onto.depth_mask = True
 
     def count(self, view: View, grove: Grove = ONE_TREE) -> None:
@@ -78,6 +81,7 @@ class SlicingCards:
             "far_height": slicings.far_height,
             "size": slicings.size,
             "brightness": slicings.brightness,
+            "transmission": transmitted(slicings.transmission),
             "exposure": slicings.exposure,
         }
         vertices = 6 * blended * slicings.count * slicings.rectangles

@@ -11,6 +11,8 @@ from treebake.model import PictureAtlas, Texture
 
 _SRGB8_ALPHA8 = 0x8C43
 
+WHITE = Texture("white", np.full((1, 1, 4), 255, np.uint8))  # in place of a map that there is not
+
 
 def upload_plain(gl: moderngl.Context, texture: Texture | None, *, srgb: bool) -> moderngl.Texture:
     """A material's image as it is, without mips; a white texel where there is none."""
@@ -53,10 +55,12 @@ def upload_compressed(
 def upload_atlas(gl: moderngl.Context, atlas: PictureAtlas, hint: str) -> dict[str, moderngl.Texture]:
     """The images that pictures are looked up in, by the names of their samplers."""
     half = max(atlas.mips - 1, 0)
+    eighth = max(atlas.mips - 3, 0)
     return {
         "coverage": upload_compressed(gl, atlas.coverage, hint, srgb=False, mips=atlas.mips),
         "albedo": upload_compressed(gl, atlas.albedo, hint, srgb=True, mips=half),
         "relief": upload_compressed(gl, atlas.relief, hint, srgb=False, mips=half),
+        "occlusion": upload_compressed(gl, atlas.occlusion or WHITE, hint, srgb=False, mips=eighth),
     }
 
 

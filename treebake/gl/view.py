@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from treebake.model import Doubles, Floats
 
+_AFAR = 1e9  # units, where the eye of parallel rays is
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -30,14 +32,36 @@ class View:
 
     @property
     def eye(self) -> Doubles:
-        """(3,) float64, the viewer's place; of a parallel projection, which has none, one very far away."""
-        eye = np.linalg.inv(self.to_clip) @ [0.0, 0.0, -1.0, 0.0]
-        return np.asarray(eye[:3] / (eye[3] if abs(eye[3]) > 1e-12 else 1e-12))
+        """(3,) float64, the viewer's place; where all rays are parallel, which has none, one very far away."""
+        eye, w = self._where_rays_meet
+        return eye / np.linalg.norm(eye) * _AFAR if self._parallel else eye / w
+
+    @property
+    def forward(self) -> Doubles:
+        """(3,) float64, unit, the way that the viewer looks."""
+        way = self.to_clip[3, :3] if self.to_clip[3, :3].any() else self.to_clip[2, :3]
+        return np.asarray(way / np.linalg.norm(way))
 
     @property
     def focus(self) -> float:
-        """Pixels that a unit takes up at a depth of one."""
+        """Pixels that a unit takes up where w is one: at a depth of one, or anywhere in a parallel projection."""
         return float(self.size / 2 * np.linalg.norm(self.to_clip[1, :3]))
+
+    @property
+    def eye_focus(self) -> float:
+        """Pixels that a unit takes up at a distance of one from the eye."""
+        return self.focus * (_AFAR if self._parallel else 1.0)
+
+    @property
+    def _where_rays_meet(self) -> tuple[Doubles, float]:
+        """Times w, and w."""
+        place = np.linalg.inv(self.to_clip) @ [0.0, 0.0, -1.0, 0.0]
+        return place[:3], float(place[3])
+
+    @property
+    def _parallel(self) -> bool:
+        place, w = self._where_rays_meet
+        return bool(np.linalg.norm(place) > _AFAR * abs(w))
 
 
 def looking(

@@ -4,6 +4,7 @@ import moderngl
 
 from treebake.gl.cards import draw_cards, far_and_near
 from treebake.gl.context import program
+from treebake.gl.light import Shading, transmitted
 from treebake.gl.textures import upload_atlas, upload_table
 from treebake.gl.view import ONE_TREE, Grove, View
 from treebake.model import Views
@@ -20,7 +21,6 @@ class ViewCards:
 
     def __init__(self, gl: moderngl.Context, views: Views) -> None:
         self._gl, self._views = gl, views
-        self._plain, self._relief = program("views_plain"), program("views")
         self._counter = program("views_count")
         self._textures = {
             "pictures": upload_table(gl, views.pictures, "f4", _HINT),
@@ -32,20 +32,22 @@ class ViewCards:
         width = views.atlas.coverage.pixels.shape[1]
         self._density = float(((shown[:, 4, 2] - shown[:, 4, 0]) * width / (shown[:, 3, 2] - shown[:, 3, 0])).sum())
 
-    def draw(self, view: View, onto: moderngl.Framebuffer, grove: Grove = ONE_TREE) -> None:
+    def draw(
+        self, view: View, onto: moderngl.Framebuffer, grove: Grove = ONE_TREE, shading: Shading = Shading.PLAIN
+    ) -> None:
         """Draw all trees over what is in `onto`, the framebuffer in use; depth is tested and written.
 
         Two calls: one for the trees that are looked into, over one for those that are too far away for that.
         """
         gl = self._gl
-        gl.enable(gl.BLEND)
+        (gl.disable if shading is Shading.CASTER else gl.enable)(gl.BLEND)
         gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
         # One that is vanishing must not hide what is drawn in its place.
         for trees, hides in zip(grove.whole_and_fading(), (True, False), strict=True):
             onto.depth_mask = hides
             far, near = self._far_and_near(view, trees)
-            self._draw(self._plain, view, far)
-            self._draw(self._relief, view, near)
+            self._draw(program("views_plain", *shading.value), view, far)
+            self._draw(program("views", *shading.value), view, near)
         onto.depth_mask = True
 
     def count(self, view: View, grove: Grove = ONE_TREE) -> None:
@@ -82,6 +84,7 @@ class ViewCards:
             "radius": views.radius,
             "density": self._density,
             "brightness": views.brightness,
+            "transmission": transmitted(views.transmission),
             "exposure": views.exposure,
             "support": views.support.tolist(),
         }

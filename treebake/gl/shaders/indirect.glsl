@@ -13,6 +13,7 @@ uniform mat4 to_clip;
 uniform mat4 from_clip;
 uniform vec2 window;       // pixels
 uniform vec2 fade;         // width of a hash cell on screen, pixels: below x nothing is looked up, above y everything
+uniform sampler2D ambient;  // the part of the sky that the corners of each leaf see
 uniform sampler2D far_color;
 uniform sampler2D far_normal;
 
@@ -41,16 +42,12 @@ float dither(int seed) {
     return (float(h >> 9) + 0.5) / 8388608.0;  // as many bits as stay below 1
 }
 
-struct Surface {
-    vec3 albedo;
-    vec3 normal;  // in the billboard's frame, on the viewer's side
-};
-
 // From a normal map's (right, up, towards the viewer) to (right, down, away).
 vec3 unpacked(vec2 bump) {
     return vec3(bump.x, -bump.y, -sqrt(max(1.0 - dot(bump, bump), 0.0)));
 }
 
+// What is hit, its normal in the billboard's frame.
 Surface leaf_surface(Billboard board, Hit hit, vec3 way) {
     Leaf leaf = read_leaf(hit.placement, board.size);
     vec3 normal = unpacked(textureLod(leaf_normal, hit.uv, hit.lod).rg * 2.0 - 1.0);
@@ -61,7 +58,11 @@ Surface leaf_surface(Billboard board, Hit hit, vec3 way) {
         normal = unpacked(vec2(hit.place.x, 0.0));
         normal.xz = vec2(normal.x * facing.y + normal.z * facing.x, normal.z * facing.y - normal.x * facing.x);
     }
-    return Surface(textureLod(leaf_color, hit.uv, hit.lod).rgb, leaf.frame * (hit.behind ? -normal : normal));
+    vec4 corners = texelFetch(ambient, in_rows(hit.placement), 0);
+    vec2 across = mix(corners.xw, corners.yz, 0.5 + 0.5 * hit.place.x);
+    float seen = mix(across.x, across.y, 0.5 + 0.5 * hit.place.y);
+    vec3 albedo = textureLod(leaf_color, hit.uv, hit.lod).rgb;
+    return Surface(albedo, leaf.frame * (hit.behind ? -normal : normal), vec3(0.0), seen, !leaf.rod);
 }
 
 // Whether the low-resolution texture covers what the lists' missing entries would. It holds all entries; if layers hide
@@ -75,8 +76,9 @@ bool meets_far(Billboard board, vec3 point, float share, float sample_width, boo
     vec2 inner = 0.5 * exp2(ceil(lod)) * cells / texels;
     vec2 uv = (vec2(board.origin) + clamp(point.xy, inner, board.size.xy - inner)) / cells;
     vec4 texel = textureLod(far_color, uv, lod);
-    vec3 normal = unpacked(textureLod(far_normal, uv, lod).rg * 2.0 - 1.0);
-    surface = Surface(texel.rgb, behind ? -normal : normal);
+    vec4 more = textureLod(far_normal, uv, lod);
+    vec3 normal = unpacked(more.rg * 2.0 - 1.0);
+    surface = Surface(texel.rgb, behind ? -normal : normal, vec3(0.0), more.a, true);
     return 1.0 - pow(1.0 - texel.a, 1.0 - share) > dither(2 * billboard + 1);
 }
 
@@ -111,10 +113,11 @@ void main() {
         if (faded(uint(gl_FragCoord.x) ^ uint(gl_FragCoord.y) << 16, opacity)) discard;
         hit.along = at_plane;
     }
-    vec4 clip = to_clip * vec4(near + hit.along * (far - near), 1.0);
+    surface.point = near + hit.along * (far - near);
+    vec4 clip = to_clip * vec4(surface.point, 1.0);
     gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;
-    vec3 normal = normalize(surface.normal * board.turn);  // transposed: back to the world's axes
-    color = vec4(lit(surface.albedo, normal), 1.0);
+    surface.normal = normalize(surface.normal * board.turn);  // transposed: back to the world's axes
+    color = vec4(lit(surface), 1.0);
     depth = vec4(clip.w, 0.0, 0.0, 1.0);
 }
 #endif

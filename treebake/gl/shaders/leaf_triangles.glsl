@@ -15,7 +15,9 @@ flat in vec4 thresholds;
 flat in vec4 axes[3];
 flat in vec2 texels;
 flat in float side;
+flat in vec4 seen_at;
 in vec2 place;
+in vec3 point;
 
 layout(location = 0) out vec4 color;
 layout(location = 1) out vec4 depth;
@@ -82,7 +84,9 @@ void main() {
     vec3 normal = side * (bump.x * axes[0].xyz - bump.y * axes[1].xyz
                           - sqrt(max(1.0 - dot(bump, bump), 0.0)) * axes[2].xyz);
     if (twig) normal = seen.x * axes[0].xyz - side * sqrt(max(1.0 - seen.x * seen.x, 0.0)) * axes[2].xyz;
-    color = vec4(lit(texel.rgb, normalize(normal)), 1.0);
+    vec2 across = mix(seen_at.xw, seen_at.yz, 0.5 + 0.5 * seen.x);
+    float sky_seen = mix(across.x, across.y, 0.5 + 0.5 * seen.y);
+    color = vec4(lit(Surface(texel.rgb, normalize(normal), point, sky_seen, !twig)), 1.0);
     depth = vec4(range, 0.0, 0.0, 1.0);
 }
 #endif

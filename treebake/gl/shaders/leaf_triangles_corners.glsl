@@ -4,6 +4,7 @@
 uniform mat4 to_clip;
 uniform vec3 eye;
 uniform sampler2D cards;   // 3 texels each, 1024 cards in a row
+uniform sampler2D ambient; // the part of the sky that the corners of each see: left top, right top, right bottom, left bottom
 uniform sampler2D shapes;  // 4 texels a row: box and kind; image of the front; of the back; thresholds
 
 #include "grove.glsl"
@@ -14,6 +15,8 @@ flat out vec4 thresholds;  // of the mips 1 to 4
 flat out vec4 axes[3];     // right, down, away of the image, unit, in the world; the last one's w: whether it is a twig
 flat out vec2 texels;      // of the image, across and down, to a unit of the world
 flat out float side;       // -1 where the back is seen
+flat out vec4 seen_at;     // the part of the sky that the corners see
+out vec3 point;            // in the world
 out vec2 place;            // on the card, -1..1, and beyond it
 
 void main() {
@@ -39,6 +42,7 @@ void main() {
     side = dot(towards, away) > 0.0 ? -1.0 : 1.0;
     int row = int(middle.w);
     image = texelFetch(shapes, ivec2(side < 0.0 && !twig ? 2 : 1, row), 0);
+    seen_at = texelFetch(ambient, ivec2(number & 1023, number >> 10), 0);
     thresholds = texelFetch(shapes, ivec2(3, row), 0);
     texels = image.zw / half_;  // times half the atlas
     if (right.w < 0.0) image = vec4(image.x + image.z, image.y, -image.z, image.w);
@@ -46,7 +50,7 @@ void main() {
     axes[1] = vec4(along / half_.y, 0.0);
     axes[2] = vec4(away, twig ? 1.0 : 0.0);
     bool shown = image.z != 0.0 && !faded(uint(number), in_opacity);  // a side that is never seen shows nothing
-    gl_Position = !shown ? vec4(2.0, 2.0, 2.0, 1.0)
-                                 : to_clip * vec4(center + place.x * across + place.y * along, 1.0);
+    point = center + place.x * across + place.y * along;
+    gl_Position = shown ? to_clip * vec4(point, 1.0) : vec4(2.0, 2.0, 2.0, 1.0);
 }
 #endif

@@ -1,5 +1,5 @@
-// Draws glTF materials as a stock real-time client does: Lambert under one sun and a two-colour sky, out in linear light.
-// Lights stand still in the world, so a tree is seen lit from all sides as the camera goes round.
+// Draws glTF materials as a stock real-time client does, lit as lighting.glsl tells, out in linear light. With
+// EXACT_CUTOUTS it cuts MASK out as if the leaf were modelled, not as a client with mipmaps does.
 
 #ifdef EXACT_CUTOUTS  // a variant of its own: a software renderer runs both sides of every branch
 #extension GL_ARB_sample_shading : require  // for gl_SampleMask
@@ -13,11 +13,15 @@ uniform mat4 to_clip;
 in vec3 in_position;
 in vec3 in_normal;
 in vec2 in_uv;
+in vec2 in_occlusion_uv;
+in float in_occlusion;  // the part of the sky that the vertex sees
 
 flat out float opacity;
 out vec3 position;
 out vec3 normal;
 out vec2 uv;
+out vec2 occlusion_uv;
+out float occlusion;
 centroid out float range;
 
 void main() {
@@ -25,6 +29,8 @@ void main() {
     position = turned_point(in_position);
     normal = turned(mat3(1.0)) * in_normal;
     uv = in_uv;
+    occlusion_uv = in_occlusion_uv;
+    occlusion = in_occlusion;
     gl_Position = to_clip * vec4(position, 1.0);
     range = gl_Position.w;
 }
@@ -40,6 +46,7 @@ const int BLEND = 2;
 uniform vec4 base_color;
 uniform sampler2D color_map;  // sRGB: decoded before it is filtered
 uniform sampler2D normal_map;
+uniform sampler2D occlusion_map;
 uniform bool has_normal_map;
 uniform int alpha_mode;
 uniform float alpha_cutoff;
@@ -48,13 +55,15 @@ flat in float opacity;
 in vec3 position;
 in vec3 normal;
 in vec2 uv;
+in vec2 occlusion_uv;
+in float occlusion;
 centroid in float range;  // extrapolated to a pixel's centre it would run off
 
 layout(location = 0) out vec4 color;  // premultiplied
 layout(location = 1) out vec4 depth;  // premultiplied, along the optical axis; only x is kept
 
 #include "normal_map.glsl"
-#include "fade.glsl"
+#include "dither.glsl"
 
 #ifdef EXACT_CUTOUTS
 #include "samples.glsl"
@@ -84,7 +93,10 @@ void main() {
         vec3 bump = texture(normal_map, uv).xyz * 2.0 - 1.0;
         facing = bumped(facing, side, bump, dFdx(position), dFdy(position), dFdx(uv), dFdy(uv));
     }
-#ifdef EXACT_CUTOUTS
+#if defined(EXACT_CUTOUTS) && defined(CASTER)
+    albedo = base_color * textureLod(color_map, uv, 0.0);  // a texel of a shadow map has one sample
+#endif
+#if defined(EXACT_CUTOUTS) && !defined(CASTER)
     gl_SampleMask[0] = ~0;
     if (alpha_mode == MASK) albedo = cut_out(gl_SampleMask[0]);
 #else
@@ -92,7 +104,11 @@ void main() {
 #endif
 
     float alpha = alpha_mode == BLEND ? albedo.a : 1.0;
-    color = vec4(lit(albedo.rgb, facing) * alpha, alpha);
+#ifdef CASTER
+    if (alpha < 1.0 && dithered(alpha)) discard;
+#endif
+    float seen = occlusion * texture(occlusion_map, occlusion_uv).r;
+    color = vec4(lit(Surface(albedo.rgb, facing, position, seen, true)) * alpha, alpha);
     depth = vec4(alpha * range, 0.0, 0.0, alpha);
 }
 #endif

@@ -4,6 +4,7 @@
 uniform sampler2D coverage;
 uniform sampler2D albedo;  // half as wide and high, as is the next
 uniform sampler2D relief;  // slopes of the surface in RG, depth in B
+uniform sampler2D occlusion;  // the part of the sky that is seen
 
 #include "slopes.glsl"
 
@@ -15,8 +16,8 @@ struct Picture {
 };
 
 // Albedo premultiplied by coverage, of the ray that meets depth 0 at `place` and moves by `way` for each unit towards the
-// viewer. lod: mip of the coverage. height, slope: mean depth and slopes of what is seen.
-vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out float height, out vec2 slope) {
+// viewer. lod: mip of the coverage. height, slope, sky: mean depth and slopes of what is seen, and of the sky that it sees.
+vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out float height, out vec2 slope, out float sky) {
     vec2 scale = (picture.texels.zw - picture.texels.xy) / (picture.bounds.zw - picture.bounds.xy);
     vec2 origin = picture.texels.xy - picture.bounds.xy * scale;
     float half_lod = max(lod - 1.0, 0.0);
@@ -49,6 +50,7 @@ vec4 look_into(Picture picture, vec2 place, vec2 way, float lod, int steps, out 
     slope /= max(sum, 1e-6);
     vec2 uv = origin + (place + way * (steps == 1 ? picture.plane : height)) * scale;
     vec3 color = textureLod(albedo, uv, half_lod).rgb;
+    sky = textureLod(occlusion, uv, max(lod - 3.0, 0.0)).r;
     // A surface turned to the viewer covers more than it did in the picture, one turned away less.
     float turned = abs(dot(vec3(slope, 1.0), normalize(vec3(way, 1.0))));
     sum = 1.0 - pow(1.0 - sum, max(turned, 1e-3));

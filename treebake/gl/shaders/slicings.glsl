@@ -20,18 +20,25 @@ layout(location = 1) out vec4 depth;
 
 #include "lighting.glsl"
 #include "relief.glsl"
+#include "dither.glsl"
 
 void main() {
     float height;
     vec2 slope;
+    float seen;
     float density = (texels.z - texels.x) / (bounds.z - bounds.x) * float(textureSize(coverage, 0).x);
     vec2 way = (viewer.xy - place) / viewer.z;
     Picture picture = Picture(bounds, texels, range, 0.0);
-    vec4 found = look_into(picture, place, way, lod_of(dFdx(place), dFdy(place), density), steps, height, slope);
+    vec4 found = look_into(picture, place, way, lod_of(dFdx(place), dFdy(place), density), steps, height, slope, seen);
     if (found.a == 0.0) discard;
-    vec4 clip = to_clip * vec4(origin + frame * vec3(place + way * height, height), 1.0);
+#ifdef CASTER
+    if (dithered(found.a * opacity)) discard;
+#endif
+    vec3 point = origin + frame * vec3(place + way * height, height);
+    vec4 clip = to_clip * vec4(point, 1.0);
     gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;
-    vec3 light = lit_softly(exposure * found.rgb / found.a, frame * vec3(slope, 1.0));
+    Surface surface = Surface(exposure * found.rgb / found.a, frame * vec3(slope, 1.0), point, seen, true);
+    vec3 light = lit_softly(surface);
     color = vec4(light, 1.0) * (found.a * opacity);
     depth = vec4(clip.w * color.a, 0.0, 0.0, color.a);
 }

@@ -24,6 +24,7 @@ layout(location = 1) out vec4 depth;
 
 #include "lighting.glsl"
 #include "relief.glsl"
+#include "dither.glsl"
 
 const float OBLIQUE = 1.0;  // tangent of the angle to a view beyond which it is shown as from there
 const int MOST_STEPS = 12;
@@ -53,12 +54,15 @@ vec4 look_at(int view, out vec3 seen) {
         float shift = (range.y - range.x) * length(way) * pixels;
         float height;
         vec2 slope;
+        float sky_seen;
         int steps = clamp(int(ceil(shift / STEP)), 1, MOST_STEPS);
-        vec4 found = look_into(picture, place, way, lod, steps, height, slope);
-        vec3 light = lit_softly(exposure * found.rgb / max(found.a, 1e-6), axes * (frame * vec3(slope, 1.0)));
-        found = (1.0 - sum.a) * found.a * vec4(light, 1.0);
+        vec4 found = look_into(picture, place, way, lod, steps, height, slope, sky_seen);
+        vec3 there = frame * vec3(place + way * height, height);
+        Surface surface = Surface(exposure * found.rgb / max(found.a, 1e-6), axes * (frame * vec3(slope, 1.0)),
+                                  middle + axes * there, sky_seen, true);
+        found = (1.0 - sum.a) * found.a * vec4(lit_softly(surface), 1.0);
         sum += found;
-        seen += found.a * (frame * vec3(place + way * height, height));
+        seen += found.a * there;
     }
     return sum;
 }
@@ -79,6 +83,9 @@ void main() {
     if (sum.a < 1.0 / 255.0) discard;
     // Views show the same tree, so neither is in front: they are mixed by what each covers.
     color = vec4(sum.rgb / sum.a, 1.0) * (1.0 - through) * opacity;
+#ifdef CASTER
+    if (dithered(color.a)) discard;
+#endif
     vec4 clip = to_clip * vec4(middle + axes * (place / sum.a), 1.0);
     gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;
     depth = vec4(clip.w * color.a, 0.0, 0.0, color.a);

@@ -11,12 +11,15 @@ uniform float exposure;
 uniform sampler2D coverage;
 uniform sampler2D albedo;
 uniform sampler2D relief;
+uniform sampler2D occlusion;
 uniform sampler2D pictures;
 
 flat in ivec3 chosen;
 flat in vec3 shares;
 flat in mat3 axes;
+flat in vec3 middle;
 flat in float opacity;
+in vec3 point;
 in vec2 uv[FLAT_LAYERS];
 
 layout(location = 0) out vec4 color;
@@ -24,6 +27,7 @@ layout(location = 1) out vec4 depth;
 
 #include "lighting.glsl"
 #include "slopes.glsl"
+#include "dither.glsl"
 
 void main() {
     float correction = 1.0 + brightness * (1.0 - max(shares.x, max(shares.y, shares.z)));
@@ -39,7 +43,9 @@ void main() {
             vec4 texels = texelFetch(pictures, ivec2(4, row + layer), 0);
             bool inside = uv[n] == clamp(uv[n], min(texels.xy, texels.zw), max(texels.xy, texels.zw));
             vec2 slope = (texture(relief, uv[n]).rg * 2.0 - 1.0) * STEEPEST;
-            vec3 light = lit_softly(exposure * texture(albedo, uv[n]).rgb, frame * vec3(slope, 1.0));
+            Surface surface = Surface(exposure * texture(albedo, uv[n]).rgb, frame * vec3(slope, 1.0),
+                                      middle + axes * point, texture(occlusion, uv[n]).r, true);
+            vec3 light = lit_softly(surface);
             float covered = texture(coverage, uv[n]).r;
             if (inside) found += (1.0 - found.a) * covered * vec4(light, 1.0);
         }
@@ -49,6 +55,9 @@ void main() {
     }
     if (sum.a < 1.0 / 255.0) discard;
     color = vec4(sum.rgb / sum.a, 1.0) * (1.0 - through) * opacity;
+#ifdef CASTER
+    if (dithered(color.a)) discard;
+#endif
     depth = vec4(color.a / gl_FragCoord.w, 0.0, 0.0, color.a);
 }
 #endif
