@@ -250,6 +250,7 @@ def bake(terminal: Terminal, settings: "Settings", tree: Path, out: Path, force:
 )
 @click.option("--candidate", type=_FILE, metavar="FILE", help="Judge this GLB, glTF, OBJ or PLY instead of an asset.")
 @click.option("--forest", "scene", type=_FILE, metavar="SCENE", help="Walk through this forest instead.")
+@click.option("--light", is_flag=True, help="Judge instead how it takes light: other suns, shadows, a day.")
 @click.option("-o", "report", type=_FILE, metavar="FOLDER", help="Where the report goes.  [default: ASSET/report]")
 @click.option(
     "--threshold",
@@ -269,15 +270,17 @@ def verify(
     sources: tuple[Path, ...],
     candidate: Path | None,
     scene: Path | None,
+    light: bool,
     report: Path | None,
 ) -> None:
     """Render ASSET (a published or a work folder) next to its source and score it.
 
     Reads published files only. Exits with 1, naming the figure, where a threshold is missed. With --forest it walks
     through what `treebake forest` wrote, and tells frame by frame how much faster the ladders are and what is seen.
+    With --light it lights ASSET by suns that nothing was baked with, and compares shadows and a whole day.
     """
-    from treebake.pipeline import verify_asset, verify_forest
-    from treebake.verify import as_dict, forest_facts, format_forest, format_table
+    from treebake.pipeline import verify_asset, verify_forest, verify_light
+    from treebake.verify import as_dict, forest_facts, format_forest, format_light, format_table, light_facts
 
     named = [path for path in (asset, candidate, scene) if path]
     if len(named) != 1:
@@ -292,6 +295,14 @@ def verify(
         return
     if len(sources) != 1:
         raise click.UsageError("an asset or a candidate has one --source")
+    if light:
+        if asset is None or settings.verify.thresholds or settings.verify.quick:
+            raise click.UsageError("--light is about an ASSET, and has no thresholds and no --quick; see [light]")
+        with terminal.announce("verify") as progress:
+            lit, folder = verify_light(asset, sources[0], report, settings, progress)
+        facts = {"report": str(folder), "representations": light_facts(lit)}
+        terminal.show(facts, text=f"{format_light(lit)}\n\nreport: {folder}")
+        return
     with terminal.announce("verify") as progress:
         found, folder = verify_asset(named[0], sources[0], report, settings, progress)
     facts = {"report": str(folder), "representations": {name: as_dict(of_one) for name, of_one in found.items()}}

@@ -69,6 +69,8 @@ from treebake.verify import (
     BudgetSettings,
     Change,
     CloseUp,
+    Crown,
+    LightReport,
     Morphing,
     Report,
     VerifySettings,
@@ -77,14 +79,18 @@ from treebake.verify import (
     cameras,
     check_budget,
     check_ladder,
+    check_light,
     close_ups,
+    in_full_light,
     ladder,
     morphings,
+    pictures_of,
     representations,
     smallest,
     verify,
     walk,
     write_forest_report,
+    write_light_report,
     write_report,
 )
 from treebake.workspace import Result, Workspace
@@ -430,6 +436,45 @@ def verify_asset(
         found["cloud"] = replace(found["cloud"], morphs=_morphings(mesh, read_asset(candidate), settings.verify))
     write_report(found, folder)
     return found, folder
+
+
+def verify_light(
+    folder: Path, source: Path, report: Path | None, settings: Settings, progress: Callable[[int, int], None]
+) -> tuple[dict[str, LightReport], Path]:
+    """Judge how every representation of a published asset takes light, each at the height that settings.light names.
+
+    The report goes into `report`, or else into the asset's own folder. Returns a report per representation, and the
+    folder. Raises InputError, AssetError, GraphicsError, SettingsError and WorkspaceError.
+    """
+    check_light(settings.light)
+    asset = read_asset(folder)
+    mesh, tree = inspect_tree(source, settings)
+    _warn_of_another_source(mesh, source, asset)
+    heights = settings.light.heights
+    asked = settings.verify.representations or tuple(heights)
+    wanted = replace(settings.verify, representations=tuple(name for name in asked if name in heights))
+    judged = representations(asset, set(heights.values()), wanted)
+    views = cameras(mesh, settings.verify.elevations, settings.verify.azimuths)
+    crown, lit = _crown(tree), join(tree.trunk, tree.foliage)
+    total, done = len(judged) * pictures_of(len(views), settings.light), 0
+
+    def advance(more: int) -> None:
+        nonlocal done
+        done += more
+        progress(done, total)
+
+    found = {
+        name: in_full_light(lit, crown, meshes[heights[name]], layers, heights[name], views, settings.light, advance)
+        for name, (meshes, layers) in judged.items()
+    }
+    into = report or folder / "report"
+    write_light_report(found, into)
+    return found, into
+
+
+def _crown(tree: Tree) -> Crown | None:
+    leaves = ~tree.leaves.is_twig
+    return Crown(tree.foliage, 2 * float(np.median(tree.leaves.radii[leaves]))) if leaves.any() else None
 
 
 def _morphings(source: Mesh, asset: Asset, settings: VerifySettings) -> tuple[Morphing, ...]:

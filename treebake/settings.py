@@ -31,7 +31,7 @@ from treebake.stages.split import SplitSettings
 from treebake.stages.trunk import TrunkSettings
 from treebake.stages.twigs import TwigSettings
 from treebake.stages.views import ViewSettings
-from treebake.verify import BudgetSettings, LadderSettings, VerifySettings, WalkSettings
+from treebake.verify import BudgetSettings, LadderSettings, LightSettings, VerifySettings, WalkSettings
 
 Tables = Mapping[str, Any]  # as TOML nests them: table -> key -> value
 
@@ -72,6 +72,7 @@ class Settings:
     ladder: LadderSettings = field(default_factory=LadderSettings)
     budget: BudgetSettings = field(default_factory=BudgetSettings)
     verify: VerifySettings = field(default_factory=VerifySettings)
+    light: LightSettings = field(default_factory=LightSettings)
     walk: WalkSettings = field(default_factory=WalkSettings)
 
 

@@ -111,6 +111,17 @@ class Drawing:
             self.count(view, ONE_TREE)
         return target.total()
 
+    def wireframe(self, view: View) -> Picture:
+        """The edges of one tree's triangles, hidden ones too, black over nothing."""
+        target = self._target(view.window)
+        target.count.clear()
+        self._gl.wireframe = True
+        with self._gl.scope(target.count, self._gl.BLEND):
+            self._gl.blend_func = self._gl.ONE, self._gl.ONE
+            self.count(view, ONE_TREE)
+        self._gl.wireframe = False
+        return target.counted()
+
     def draw_solid(
         self, view: View, onto: moderngl.Framebuffer, grove: Grove, shading: Shading = Shading.PLAIN
     ) -> None:

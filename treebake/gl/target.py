@@ -54,6 +54,13 @@ class Target:
         depth = np.clip(depth / np.where(alpha > 0, alpha, 1), view.near, view.far)
         return Picture(color, np.where(alpha > 0, depth, 0).astype(np.float32))
 
+    def counted(self) -> Picture:
+        """Where anything was added to `count`, black. Raises GraphicsError likewise."""
+        check(self._gl)
+        drawn = _pixels(self.count, 0, 1) > 0
+        color = np.concatenate([np.zeros((*drawn.shape[:2], 3)), drawn], axis=2).astype(np.float32)
+        return Picture(color, np.zeros(drawn.shape[:2], np.float32))
+
     def total(self) -> float:
         """The sum of what was added to `count`. Raises GraphicsError likewise."""
         check(self._gl)

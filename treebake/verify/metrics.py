@@ -82,6 +82,11 @@ def score_all(score_view: Callable[..., Scores], *inputs: Iterable[Any]) -> Scor
     return Scores(*(np.concatenate(column) for column in zip(*map(astuple, views), strict=True)))
 
 
+def brightness(picture: Picture) -> float:
+    """The luminance of all that a picture shows, added up."""
+    return float(picture.color[..., :3].sum(axis=(0, 1), dtype=np.float64) @ LUMINANCE)
+
+
 def over(picture: Picture, background: tuple[float, float, float]) -> Floats:
     """Put a picture over a background, linear light: (h, w, 3) float32 in 0..1."""
     color, alpha = picture.color[..., :3], picture.color[..., 3:]
