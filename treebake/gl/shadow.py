@@ -1,7 +1,6 @@
 """Shadow maps: the depth of what the sun sees, in light-space perspective ([WSP04])."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import moderngl
@@ -21,28 +20,13 @@ _MARGIN = 2  # texels that stay empty around what casts a shadow, so that nothin
 _LEAST_SINE = 0.05  # of the angle between view and light, below which perspective has nothing to give
 
 
-@dataclass(frozen=True, eq=False)
-class Bounds:
-    """What casts and takes shadows: a box along the world's axes. low, high: (3,) float64."""
+def sun_view(towards: Doubles, points: Doubles, texels: int, viewer: View | None = None) -> View:
+    """The view along the light onto all that lies between some points, `texels` square.
 
-    low: Doubles
-    high: Doubles
-
-    @property
-    def corners(self) -> Doubles:
-        """(8, 3) float64."""
-        axes = np.meshgrid(*np.stack([self.low, self.high], axis=1), indexing="ij")
-        return np.stack(axes, axis=-1).reshape(-1, 3)
-
-
-def sun_view(towards: Doubles, bounds: Bounds, texels: int, viewer: View | None = None) -> View:
-    """The view along the light onto all that lies in the bounds, `texels` square.
-
-    towards: (3,) float64, unit, the direction of the sun. viewer: whose picture the shadows are for: what is near it
-    gets more texels, by a perspective whose rays stay parallel to the light ([WSP04] 3). Without one, or where it looks
-    along the light, all get the same.
+    towards: (3,) float64, unit, the direction of the sun. points: (N, 3) float64, around what casts shadows. viewer:
+    whose picture the shadows are for: what is near it gets more texels, by a perspective whose rays stay parallel to
+    the light ([WSP04] 3). Without one, or where it looks along the light, all get the same.
     """
-    corners = bounds.corners
     back = np.array([0.0, 0.0, 1.0]) if viewer is None else -viewer.forward
     sine = float(np.linalg.norm(reject(back[None], towards[None])))
     if sine < _LEAST_SINE:
@@ -50,21 +34,21 @@ def sun_view(towards: Doubles, bounds: Bounds, texels: int, viewer: View | None 
     behind = reject(back[None], towards[None])[0]
     behind /= np.linalg.norm(behind)
     across = np.cross(towards, behind)
-    z = corners @ behind  # grows towards the viewer
+    z = points @ behind  # grows towards the viewer
     w, down = np.array([0.0, 0.0, 0.0, 1.0]), np.array([*behind, 0.0])
     if viewer is not None and sine > 0:
-        depths = np.maximum((corners - viewer.eye) @ viewer.forward, viewer.near)
+        depths = np.maximum((points - viewer.eye) @ viewer.forward, viewer.near)
         before = (depths.min() + np.sqrt(depths.min() * depths.max())) / sine  # n of [WSP04]: spreads the error evenly
-        # w grows with the distance from a point that lies so far before the nearest corner; it is 1 in the middle.
+        # w grows with the distance from a point that lies so far before the nearest of them; it is 1 in the middle.
         w = np.array([*-behind, z.max() + before]) / (before + np.ptp(z) / 2)
         down = np.array([0.0, 0.0, 0.0, 1.0])  # over w it falls with that distance, and lines stay lines
     rows = np.stack([np.append(across, 0.0), down, np.append(-towards, 0.0), w])
-    return View(_fitted(rows, corners, texels), texels, 0.0, np.inf)
+    return View(_fitted(rows, points, texels), texels, 0.0, np.inf)
 
 
-def _fitted(rows: Doubles, corners: Doubles, texels: int) -> Doubles:
-    """Rows of a projection, scaled and moved so that all corners fill the clip space but for a margin."""
-    places = np.column_stack([corners, np.ones(len(corners))]) @ rows.T
+def _fitted(rows: Doubles, points: Doubles, texels: int) -> Doubles:
+    """Rows of a projection, scaled and moved so that the points fill the clip space but for a margin."""
+    places = np.column_stack([points, np.ones(len(points))]) @ rows.T
     low, high = ((places[:, :3] / places[:, 3:]).min(axis=0), (places[:, :3] / places[:, 3:]).max(axis=0))
     room = np.array([1 - 2 * _MARGIN / texels] * 2 + [1.0])
     scale = 2 * room / np.maximum(high - low, 1e-30)

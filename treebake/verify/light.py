@@ -14,8 +14,7 @@ import numpy as np
 from treebake.checks import check
 from treebake.geometry import turn_to
 from treebake.gl.light import Light
-from treebake.gl.shadow import Bounds
-from treebake.model import Floats, Layers, Mesh
+from treebake.model import Doubles, Floats, Layers, Mesh
 from treebake.verify.cameras import Camera
 from treebake.verify.day import Day, through_day
 from treebake.verify.relit import Crown, Pair, Relit, relit
@@ -96,13 +95,13 @@ def in_full_light(
     Raises SettingsError and GraphicsError.
     """
     check_light(settings)
-    bounds, texels = _bounds(source), settings.shadow_texels
+    points, texels = _around(source), settings.shadow_texels
     with ExitStack() as stack:
-        one = stack.enter_context(closing(Shaded(source, None, bounds, texels, exact_cutouts=True)))
-        other = stack.enter_context(closing(Shaded(candidate, layers, bounds, texels)))
+        one = stack.enter_context(closing(Shaded(source, None, points, texels, exact_cutouts=True)))
+        other = stack.enter_context(closing(Shaded(candidate, layers, points, texels)))
         figures, suns = relit(one, other, crown, height, views, unseen_suns(settings.suns), done)
         view = views[0].view(height)
-        cast, ground = shadows(one, other, bounds, view, _around(settings), settings.ground, done)
+        cast, ground = shadows(one, other, points, view, _suns_around(settings), settings.ground, done)
         today: Day | None = None
         hours: tuple[Pair, ...] = ()
         if settings.hours:
@@ -117,12 +116,13 @@ def pictures_of(views: int, settings: LightSettings) -> int:
     return views + settings.azimuths + settings.hours
 
 
-def _bounds(source: Mesh) -> Bounds:
-    low, high = source.bounds.astype(np.float64)
-    room = _ROOM * float((high - low).max() or 1.0)
-    return Bounds(low - room, high + room)
+def _around(source: Mesh) -> Doubles:
+    """(N, 3) points around all that stands for a source."""
+    points = source.positions[source.used].astype(np.float64)
+    middle = source.bounds.mean(axis=0, dtype=np.float64)
+    return np.asarray(middle + (1 + _ROOM) * (points - middle))
 
 
-def _around(settings: LightSettings) -> tuple[Light, ...]:
+def _suns_around(settings: LightSettings) -> tuple[Light, ...]:
     turns = 360.0 * np.arange(settings.azimuths) / settings.azimuths
     return tuple(Light(turn_to(settings.elevation, float(turn))[2]) for turn in turns)

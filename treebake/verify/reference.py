@@ -35,7 +35,6 @@ _CODE = (
     "gl/light.py",
     "gl/target.py",
     "gl/view.py",
-    "gl/shaders/dither.glsl",
     "gl/shaders/fade.glsl",
     "gl/shaders/grove.glsl",
     "gl/shaders/lighting.glsl",

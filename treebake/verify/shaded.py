@@ -7,7 +7,7 @@ import numpy as np
 from treebake.gl.draw import Drawing
 from treebake.gl.light import Light
 from treebake.gl.scene import Stand
-from treebake.gl.shadow import Bounds, ShadowMap, sun_view
+from treebake.gl.shadow import ShadowMap, sun_view
 from treebake.gl.target import Picture
 from treebake.gl.view import ONE_TREE, View
 from treebake.model import EMPTY_MESH, Doubles, Floats, Layers, Material, Mesh
@@ -19,10 +19,10 @@ class Shaded:
     """A tree, its drawing and its shadows, to be drawn until `close`. Raises GraphicsError."""
 
     def __init__(
-        self, mesh: Mesh, layers: Layers | None, bounds: Bounds, texels: int, *, exact_cutouts: bool = False
+        self, mesh: Mesh, layers: Layers | None, points: Doubles, texels: int, *, exact_cutouts: bool = False
     ) -> None:
-        """bounds: of what may cast shadows, the same for all that are compared. texels: of the shadow map, a side."""
-        self._bounds, self._texels = bounds, texels
+        """points: (N, 3) around what casts shadows, the same for all that are compared. texels: of the shadow map."""
+        self._points, self._texels = points, texels
         self._drawing = Drawing(mesh, layers, exact_cutouts=exact_cutouts)
         self._shadows, self._none = ShadowMap(texels), ShadowMap(1)
 
@@ -33,7 +33,7 @@ class Shaded:
         return self._drawing.picture(view, light, self._shadows if shadows else self._none)
 
     def from_sun(self, light: Light) -> Floats:
-        """(h, w) float32, how far behind the first plane that touches the bounds the sun's light is stopped.
+        """(h, w) float32, how far behind the first plane that touches the points the sun's light is stopped.
 
         Parallel, in the tree's unit, infinite where nothing stops it.
         """
@@ -58,7 +58,7 @@ class Shaded:
             each.close()
 
     def _cast(self, light: Light, viewer: View | None) -> View:
-        view = sun_view(light.sun_direction, self._bounds, self._texels, viewer)
+        view = sun_view(light.sun_direction, self._points, self._texels, viewer)
         self._shadows.cast([Stand(self._drawing, ONE_TREE)], view)
         return view
 
@@ -66,12 +66,11 @@ class Shaded:
 class Ground:
     """The level ground below a tree, as far as its shadow falls, seen straight from above, until `close`."""
 
-    def __init__(self, bounds: Bounds, light: Light, pixels: int) -> None:
-        """pixels: a side of the picture."""
-        corners = bounds.corners
-        level = float(bounds.low[1])
+    def __init__(self, points: Doubles, light: Light, pixels: int) -> None:
+        """points: as of `Shaded`; the ground is where the lowest are. pixels: a side of the picture."""
+        level = float(points[:, 1].min())
         sun = light.sun_direction
-        shadow = corners[:, [0, 2]] - sun[[0, 2]] * ((corners[:, 1] - level) / sun[1])[:, None]
+        shadow = points[:, [0, 2]] - sun[[0, 2]] * ((points[:, 1] - level) / sun[1])[:, None]
         low, high = shadow.min(axis=0), shadow.max(axis=0)
         middle, half = (low + high) / 2, float((high - low).max()) / 2
         self.drawing = Drawing(_square(middle, level, half))

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from treebake.gl.light import Light
-from treebake.gl.shadow import Bounds
 from treebake.gl.view import View
-from treebake.model import Floats
+from treebake.model import Doubles, Floats
 from treebake.verify.metrics import brightness
 from treebake.verify.shaded import Ground, Shaded
 
@@ -34,7 +33,7 @@ class Shadows:
 def shadows(
     source: Shaded,
     candidate: Shaded,
-    bounds: Bounds,
+    points: Doubles,
     view: View,
     suns: Sequence[Light],
     ground: int,
@@ -42,14 +41,15 @@ def shadows(
 ) -> tuple[Shadows, tuple[tuple[Floats, Floats], ...]]:
     """Compare the shadows of every sun; also gives those on the ground, source and candidate.
 
-    view: from where the trees' own shadows are seen. ground: pixels of its picture, a side. Raises GraphicsError.
+    points: as of `Shaded`. view: from where the trees' own shadows are seen. ground: pixels of its picture, a side.
+    Raises GraphicsError.
     """
     common, union, stopped, either = 0.0, 0.0, 0, 0
     between: list[NDArray[np.float32]] = []
     lights = np.zeros((2, 2))  # source, candidate; with shadows, without
     grounds = []
     for light in suns:
-        with closing(Ground(bounds, light, ground)) as below:
+        with closing(Ground(points, light, ground)) as below:
             ours, theirs = (each.on_ground(below, light) for each in (source, candidate))
         grounds.append((ours, theirs))
         common += float(np.minimum(ours, theirs).sum(dtype=np.float64))

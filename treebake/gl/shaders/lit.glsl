@@ -63,7 +63,7 @@ layout(location = 0) out vec4 color;  // premultiplied
 layout(location = 1) out vec4 depth;  // premultiplied, along the optical axis; only x is kept
 
 #include "normal_map.glsl"
-#include "dither.glsl"
+#include "fade.glsl"
 
 #ifdef EXACT_CUTOUTS
 #include "samples.glsl"
@@ -85,7 +85,8 @@ vec4 cut_out(out int passed) {
 #endif
 
 void main() {
-    if (faded(uint(gl_FragCoord.x) ^ uint(gl_FragCoord.y) << 16, opacity)) discard;
+    uint pixel = uint(gl_FragCoord.x) ^ uint(gl_FragCoord.y) << 16;
+    if (faded(pixel, opacity)) discard;
     float side = gl_FrontFacing ? 1.0 : -1.0;
     vec4 albedo = base_color * texture(color_map, uv);
     vec3 facing = side * normalize(normal);
@@ -105,7 +106,7 @@ void main() {
 
     float alpha = alpha_mode == BLEND ? albedo.a : 1.0;
 #ifdef CASTER
-    if (alpha < 1.0 && dithered(alpha)) discard;
+    if (alpha_mode == BLEND && faded(pixel ^ uint(gl_PrimitiveID) * 0x85EBCA77u, alpha)) discard;
 #endif
     float seen = occlusion * texture(occlusion_map, occlusion_uv).r;
     color = vec4(lit(Surface(albedo.rgb, facing, position, seen, true)) * alpha, alpha);

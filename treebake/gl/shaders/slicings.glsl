@@ -20,7 +20,6 @@ layout(location = 1) out vec4 depth;
 
 #include "lighting.glsl"
 #include "relief.glsl"
-#include "dither.glsl"
 
 void main() {
     float height;
@@ -32,7 +31,7 @@ void main() {
     vec4 found = look_into(picture, place, way, lod_of(dFdx(place), dFdy(place), density), steps, height, slope, seen);
     if (found.a == 0.0) discard;
 #ifdef CASTER
-    if (dithered(found.a * opacity)) discard;
+    if (found.a * opacity < CASTS) discard;
 #endif
     vec3 point = origin + frame * vec3(place + way * height, height);
     vec4 clip = to_clip * vec4(point, 1.0);

@@ -21,7 +21,6 @@ layout(location = 1) out vec4 depth;
 
 #include "lighting.glsl"
 #include "slopes.glsl"
-#include "dither.glsl"
 
 void main() {
     vec2 uv = texels.xy + (place - bounds.xy) / (bounds.zw - bounds.xy) * (texels.zw - texels.xy);
@@ -33,7 +32,7 @@ void main() {
     float covered = texture(coverage, uv).r;
     color = inside ? vec4(light, 1.0) * (covered * opacity) : vec4(0.0);
 #ifdef CASTER
-    if (dithered(color.a)) discard;
+    if (color.a < CASTS) discard;
 #endif
     depth = vec4(color.a / gl_FragCoord.w, 0.0, 0.0, color.a);
 }

@@ -24,7 +24,6 @@ layout(location = 1) out vec4 depth;
 
 #include "lighting.glsl"
 #include "relief.glsl"
-#include "dither.glsl"
 
 const float OBLIQUE = 1.0;  // tangent of the angle to a view beyond which it is shown as from there
 const int MOST_STEPS = 12;
@@ -84,7 +83,7 @@ void main() {
     // Views show the same tree, so neither is in front: they are mixed by what each covers.
     color = vec4(sum.rgb / sum.a, 1.0) * (1.0 - through) * opacity;
 #ifdef CASTER
-    if (dithered(color.a)) discard;
+    if (color.a < CASTS) discard;
 #endif
     vec4 clip = to_clip * vec4(middle + axes * (place / sum.a), 1.0);
     gl_FragDepth = clip.z / clip.w * 0.5 + 0.5;

@@ -1,5 +1,10 @@
 // Places the card of view impostors, of many trees in one call: it faces the viewer, and has 8 corners ([I11]). Chooses
 // the pictures that are seen on it, and their shares.
+// Coverage from which a view hides the sun, and of a caster one view alone is shown. Of a chestnut's shadow on the ground
+// at 45 degrees, IoU with the source's, and the part of the sunlight that it takes from its own crown, the source's
+// being 0.505: all views dithered 0.626 0.417; from 0.2 on 0.713 0.539; the nearest view, dithered 0.659 0.448; from 0.35
+// on 0.745 0.527; from 0.5 on 0.739 0.499.
+const float CASTS = 0.5;
 const int FLAT_LAYERS = 9;  // of all views together that fit between the stages
 
 #ifdef VERTEX_STAGE
@@ -88,6 +93,10 @@ void main() {
     float distance_ = length(viewer);
     vec3 way = viewer / distance_;
     choose(way);
+#ifdef CASTER
+    float most = max(shares.x, max(shares.y, shares.z));
+    shares = most == shares.x ? vec3(1.0, 0.0, 0.0) : most == shares.y ? vec3(0.0, 1.0, 0.0) : vec3(0.0, 0.0, 1.0);
+#endif
     vec3 right = length(way.xz) > 1e-6 ? normalize(vec3(way.z, 0.0, -way.x)) : vec3(1.0, 0.0, 0.0);
     vec3 up = cross(way, right);
     int triangle = gl_VertexID / 3;

@@ -27,7 +27,6 @@ layout(location = 1) out vec4 depth;
 
 #include "lighting.glsl"
 #include "slopes.glsl"
-#include "dither.glsl"
 
 void main() {
     float correction = 1.0 + brightness * (1.0 - max(shares.x, max(shares.y, shares.z)));
@@ -56,7 +55,7 @@ void main() {
     if (sum.a < 1.0 / 255.0) discard;
     color = vec4(sum.rgb / sum.a, 1.0) * (1.0 - through) * opacity;
 #ifdef CASTER
-    if (dithered(color.a)) discard;
+    if (color.a < CASTS) discard;
 #endif
     depth = vec4(color.a / gl_FragCoord.w, 0.0, 0.0, color.a);
 }
