@@ -12,6 +12,7 @@ from treebake.gl.target import Picture
 from treebake.gl.view import ONE_TREE, View
 from treebake.model import EMPTY_MESH, Doubles, Floats, Layers, Material, Mesh
 
+_ROUNDING = 1e-3  # of colours, which are kept in half floats
 _DARK = (0.0, 0.0, 0.0)
 
 
@@ -46,7 +47,8 @@ class Shaded:
         self._cast(light, None)
         sun = replace(light, sun=(1.0, 1.0, 1.0), sky=_DARK, ground=_DARK)
         lit = ground.drawing.picture(ground.view, sun, self._shadows).color[..., 0]
-        return np.asarray(np.clip(1 - lit / light.sun_direction[1], 0, 1), np.float32)
+        shade = 1 - lit / light.sun_direction[1]
+        return np.where(shade > _ROUNDING, np.minimum(shade, 1), 0).astype(np.float32)
 
     def wireframe(self, view: View) -> Picture:
         """The edges of all triangles, black."""

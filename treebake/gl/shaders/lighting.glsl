@@ -30,7 +30,7 @@ const float SUN_SOFTNESS = 0.5;
 uniform sampler2DShadow shadow_map;
 uniform vec4 transmission;  // factors on the albedo for what goes through, and which part of the light that is
 
-const float STEEPEST_LEAN = 4.0;  // tangent of the angle to the sun up to which a surface does not shade itself
+const float STEEPEST_LEAN = 16.0;  // tangent of the angle to the sun up to which a surface does not shade itself
 
 // The part of the sun that shines on a point whose normal makes an angle of this cosine with it. The point is moved
 // towards the sun by as much as its surface's depth changes within the texels that are filtered.
