@@ -46,12 +46,13 @@ def box(
         positions=positions[index].astype(np.float32),
         uvs=np.array(uvs, np.float32)[index],
         normals=np.broadcast_to(np.array(normal, np.float32), (2, 3, 3)).copy(),
+        values=positions[index][..., 2].astype(np.float32),
         material=np.full(2, material, np.int32),
     )
 
 
 def both(*parts: FlatTriangles) -> FlatTriangles:
-    names = ("positions", "uvs", "normals", "material")
+    names = ("positions", "uvs", "normals", "values", "material")
     return FlatTriangles(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 

@@ -282,7 +282,7 @@ class Hierarchy:
 class BillboardCloud:
     """Cards on the planes of the clusters, with one atlas.
 
-    mesh: the cards, with one material (MASK, double-sided) whose colour and normal maps are the atlas.
+    mesh: the cards, with one material (MASK, double-sided) whose colour, normal and occlusion maps are the atlas.
     face_cluster: (F,) int32, the plane on which each triangle of the mesh lies. displacement: how far points of leaves
     were moved for it, root mean square, in the tree's unit.
     """
@@ -340,8 +340,8 @@ class PictureAtlas:
     coverage: Texture
     albedo: Texture
     relief: Texture
+    occlusion: Texture
     mips: int
-    occlusion: Texture | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,8 @@ Mean absolute error of the leaves' vertices against 1,024 rays, whose own noise 
 | 256, 2048, 0.01 | 0.030, 16 s | | 0.031 |
 
 Of the birch without the feet of the leaves, which lie inside a twig: a ray from there sees nothing, a vertex moved by
-the bias is outside, and what is seen of the leaf does not darken towards it. Without the slope of the vertex's own plane
-the chestnut's error is 0.045 at 1024 texels and a bias of 0.05, and 0.056 at 0.02.
+the bias is outside, and what is seen of the leaf does not darken towards it. Without the slope of the vertex's own
+plane the chestnut's error is 0.045 at 1024 texels and a bias of 0.05, and 0.056 at 0.02.
 """
 
 from dataclasses import dataclass, replace

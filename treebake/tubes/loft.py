@@ -12,8 +12,8 @@ def loft(mesh: Mesh, tubes: Tubes, chosen: Plan) -> tuple[Mesh, Longs]:
     """Build the planned rings and join each strand's: the mesh, and the strand of each of its faces: (F,).
 
     Texture coordinates, normals and occlusion are the source's, blended linearly between its vertices; the first vertex
-    of a ring comes twice, with the texture coordinates of either side of the seam. Each ring grows about its centre until its
-    perimeter is the source's times the plan's width. Caps come back as fans with vertices of their own.
+    of a ring comes twice, with the texture coordinates of either side of the seam. Each ring grows about its centre
+    until its perimeter is the source's times the plan's width. Caps come back as fans with vertices of their own.
     """
     rings, count = tubes.rings, len(chosen.ring)
     follows = np.append(False, np.diff(chosen.strand) == 0)[:count]

@@ -13,8 +13,8 @@ def ambient(foliage: Mesh, leaves: Leaves, poses: Poses) -> Bytes:
     """Fit the corners of each leaf's rectangle to the occlusion of its vertices: (N, 4) uint8, 255 for the whole sky.
 
     poses: of the leaves in the source, whose right and down name the corners: left top, right top, right bottom, left
-    bottom, whether or not the image is mirrored. Between corners the value is bilinear, as the shader has it; the sum of
-    squared differences at the vertices is least. A twig's varies along its axis only. All 255 where the foliage's
+    bottom, whether or not the image is mirrored. Between corners the value is bilinear, as the shader has it; the sum
+    of squared differences at the vertices is least. A twig's varies along its axis only. All 255 where the foliage's
     occlusion is not known. O(F log F).
     """
     if foliage.occlusion is None:
@@ -31,4 +31,4 @@ def ambient(foliage: Mesh, leaves: Leaves, poses: Poses) -> Bytes:
     known = np.add.reduceat(share[:, :, None] * share[:, None], first) + _RIDGE * np.eye(4)
     wanted = np.add.reduceat(share * (seen - mean[leaf])[:, None], first)
     corners = mean[:, None] + np.linalg.solve(known, wanted[..., None])[..., 0]
-    return np.rint(np.clip(corners, 0, 1) * 255).astype(np.uint8)
+    return np.asarray(np.rint(np.clip(corners, 0, 1) * 255), np.uint8)
