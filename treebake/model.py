@@ -333,8 +333,7 @@ class PictureAtlas:
     coverage: grey, what part of each texel is covered. The others have half its width and height. albedo: sRGB,
     without light. relief: RG are the surface's slopes to the picture's right and up, -4 to 4; B is depth, from the far
     end of the picture's range to the viewer's. occlusion: grey, the part of the sky that is seen, an eighth as wide and
-    high as the coverage. mips: how many of the coverage's, below its first one, show nothing of
-    a picture's neighbours.
+    high as the coverage. mips: how many of the coverage's, below its first one, show nothing of a picture's neighbours.
     """
 
     coverage: Texture

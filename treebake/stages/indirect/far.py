@@ -3,8 +3,8 @@
 import numpy as np
 
 from treebake.flatten import flatten, plane_frames
-from treebake.gl.bake import FlatTriangles, bake_atlas
 from treebake.geometry import corner_occlusion
+from treebake.gl.bake import FlatTriangles, bake_atlas
 from treebake.images import color_texels, normal_texels, value_texels
 from treebake.model import Clusters, Ints, Texture, Tree
 from treebake.stages.indirect.boxes import Boxes
