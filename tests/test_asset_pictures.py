@@ -49,7 +49,7 @@ SHARED = Path("../shared_views/shared_views.glb")
 
 
 def atlas(name: str, seed: int = 0) -> PictureAtlas:
-    """8 x 8 texels of noise, and half as many of the rest."""
+    """8 x 8 texels of noise, and fewer of the rest."""
     random = np.random.default_rng(seed)
 
     def noise(image: str, side: int) -> Texture:
@@ -57,7 +57,8 @@ def atlas(name: str, seed: int = 0) -> PictureAtlas:
         pixels[..., 3] = 255
         return Texture(f"{name}_{image}", pixels)
 
-    return PictureAtlas(noise("coverage", 8), noise("albedo", 4), noise("relief", 4), mips=2)
+    images = (noise(name, side) for name, side in (("coverage", 8), ("albedo", 4), ("relief", 4), ("occlusion", 1)))
+    return PictureAtlas(*images, mips=2)
 
 
 def standard(name: str) -> Mesh:
@@ -225,8 +226,8 @@ def test_the_glbs_are_valid(tmp_path: Path) -> None:
 # ---- the manifest --------------------------------------------------------------------------------------------------
 
 # 8 x 8 texels of coverage and 2 mips are 4, 1 and 1 blocks of 8 bytes; 4 x 4 of albedo and a mip 1 and 1; of relief
-# three times as many bytes.
-BYTES = 6 * 8 + 2 * 8 + 2 * (16 + 8)
+# three times as many bytes; 1 x 1 of occlusion.
+BYTES = 6 * 8 + 2 * 8 + 2 * (16 + 8) + 8
 
 
 def test_bytes_are_those_of_what_drawing_looks_up() -> None:

@@ -46,12 +46,13 @@ def box(
         positions=positions[index].astype(np.float32),
         uvs=np.array(uvs, np.float32)[index],
         normals=np.broadcast_to(np.array(normal, np.float32), (2, 3, 3)).copy(),
+        values=positions[index][..., 2].astype(np.float32),
         material=np.full(2, material, np.int32),
     )
 
 
 def both(*parts: FlatTriangles) -> FlatTriangles:
-    names = ("positions", "uvs", "normals", "material")
+    names = ("positions", "uvs", "normals", "values", "material")
     return FlatTriangles(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
@@ -168,9 +169,9 @@ def test_depth_behind_a_cutout_is_what_shows_through() -> None:
     assert np.allclose(bake_atlas(parts, [clear, WHITE], SIZE, 1)[2][:8, :8], -0.25, atol=HALF)
 
 
-def test_depth_is_interpolated_along_a_slanted_triangle() -> None:
+def test_values_are_interpolated_along_a_triangle() -> None:
     slanted = box((0, 32), (0, 8))
-    slanted.positions[..., 2] = slanted.positions[..., 0] / 32 - 0.5
+    slanted.values[:] = slanted.positions[..., 0] / 32 - 0.5
     found = bake_atlas(slanted, [WHITE], SIZE, 4)[2][:8, :32]
     assert np.allclose(found, (np.arange(32) + 0.5) / 32 - 0.5, atol=HALF)
 

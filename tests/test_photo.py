@@ -64,7 +64,7 @@ def test_a_picture_may_be_wider_than_high() -> None:
     expected = np.zeros((4, 8))
     expected[2:, 6:] = 1
     np.testing.assert_array_equal(photo.albedo[..., 3], expected)
-    assert (photo.albedo.shape, photo.relief.shape) == ((4, 8, 4), (4, 8, 3))
+    assert (photo.albedo.shape, photo.relief.shape) == ((4, 8, 4), (4, 8, 4))
 
 
 @pytest.mark.parametrize("azimuth", [0.0, 90.0, 180.0, 270.0, 37.0])

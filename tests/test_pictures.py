@@ -12,7 +12,7 @@ from treebake.errors import BudgetError
 from treebake.gl.photo import Photo
 from treebake.images import mip_chain, to_linear
 from treebake.model import Bytes, Floats, Ints, PictureAtlas
-from treebake.pictures import CELL, Part, compose, covered, pack_pictures, place_pictures, trimmed
+from treebake.pictures import CELL, OCCLUSION, Part, compose, covered, pack_pictures, place_pictures, trimmed
 
 SIZES = st.lists(st.tuples(st.integers(0, 60), st.integers(0, 60)), min_size=1, max_size=20)
 GUTTERS = st.sampled_from([1, 2, 4, 8, 16])
@@ -23,11 +23,12 @@ def pictures(*sizes: tuple[int, int]) -> Ints:
     return np.array(sizes, np.int32).reshape(-1, 2)
 
 
-def photo(alpha: object, albedo: object = 0.0, relief: object = 0.0) -> Photo:
+def photo(alpha: object, albedo: object = 0.0, relief: object = 0.0, sky: object = 1.0) -> Photo:
     """A picture of that coverage (h, w); the rest, one value or one a texel, is premultiplied here."""
     share = np.asarray(alpha, np.float32)[..., None]
     images = [np.broadcast_to(np.asarray(v, np.float32), (*share.shape[:2], 3)) * share for v in (albedo, relief)]
-    return Photo(np.concatenate([images[0], share], axis=2), images[1])
+    seen = np.asarray(sky, np.float32) * share
+    return Photo(np.concatenate([images[0], share], axis=2), np.concatenate([images[1], seen], axis=2))
 
 
 def whole(picture: Photo, x: int, y: int) -> Part:
@@ -69,8 +70,8 @@ def test_pictures_lie_apart_inside_the_atlas_on_whole_blocks(
         taken[y - gutter : y + h + gutter, x - gutter : x + w + gutter] += 1
     assert taken.max() == 1
     assert (width % gutter, height % gutter) == (0, 0)  # halves as often as the mips that stay clean
-    assert taken[-max(CELL, gutter) :].any()  # no row or column of blocks is there for nothing
-    assert taken[:, -max(CELL, gutter) :].any()
+    assert taken[-max(OCCLUSION, gutter) :].any()  # no row or column of blocks is there for nothing
+    assert taken[:, -max(OCCLUSION, gutter) :].any()
 
 
 @settings(deadline=None)
@@ -89,10 +90,10 @@ def test_a_picture_fits_with_its_gutter_or_not_at_all(size: tuple[int, int], lim
 
 
 def test_equal_squares_leave_nothing_empty() -> None:
-    packed = pack_pictures(pictures(*[(12, 12)] * 16), 2, 64)
+    packed = pack_pictures(pictures(*[(16, 16)] * 16), 2, 64)
     assert packed is not None
     assert packed[1] == (64, 64)
-    assert pack_pictures(pictures(*[(12, 12)] * 17), 2, 64) is None
+    assert pack_pictures(pictures(*[(16, 16)] * 17), 2, 64) is None
 
 
 def test_one_wide_picture_gets_an_atlas_as_flat_as_itself() -> None:
@@ -164,16 +165,16 @@ def test_coverage_is_kept_to_the_texel() -> None:
 def test_a_part_is_put_in_with_what_is_around_it_in_the_gutter() -> None:
     alpha = np.arange(20).reshape(4, 5) / 20
     part = Part(photo(alpha), (slice(1, 3), slice(2, 5)), (4, 8))
-    pixels = grey(compose([part], (12, 12), 1, "views"))
+    pixels = grey(compose([part], (16, 16), 1, "views"))
     assert (pixels[7:11, 3:7] == np.rint(alpha[0:4, 1:5] * 255)).all()  # at the photo's edge there is nothing more
     assert np.count_nonzero(pixels) == 4 * 4
 
 
-def test_the_images_are_named_and_the_others_half_as_large() -> None:
+def test_the_images_are_named_and_the_others_smaller() -> None:
     atlas = compose([], (24, 16), 1, "views")
-    images = (atlas.coverage, atlas.albedo, atlas.relief)
-    assert [image.name for image in images] == ["views_coverage", "views_albedo", "views_relief"]
-    assert [image.pixels.shape for image in images] == [(16, 24, 4)] + [(8, 12, 4)] * 2
+    images = (atlas.coverage, atlas.albedo, atlas.relief, atlas.occlusion)
+    assert [image.name for image in images] == ["views_coverage", "views_albedo", "views_relief", "views_occlusion"]
+    assert [image.pixels.shape for image in images] == [(16, 24, 4), (8, 12, 4), (8, 12, 4), (2, 3, 4)]
     assert not any(image.has_alpha for image in images)
 
 
@@ -183,26 +184,34 @@ def test_of_four_texels_the_most_covered_is_kept_unmixed(best: int) -> None:
     alpha = np.full(4, 0.4)
     alpha[best] = 0.6
     picture = photo(alpha.reshape(2, 2), albedo=colors, relief=colors[:, ::-1])
-    atlas = compose([whole(picture, 4, 4)], (12, 12), 4, "views")
+    atlas = compose([whole(picture, 4, 4)], (16, 16), 4, "views")
     wanted = [image.reshape(4, 3)[best] for image in (colors, colors[:, ::-1])]
     assert to_linear(atlas.albedo.pixels[2, 2, :3]) == pytest.approx(wanted[0], abs=0.01)
     assert atlas.relief.pixels[2, 2, :3] / 255 == pytest.approx(wanted[1], abs=0.01)
 
 
 def test_images_are_stored_without_coverage_in_their_spaces() -> None:
-    atlas = compose([whole(photo(np.full((4, 4), 0.25), 0.5, 0.5), 4, 4)], (12, 12), 4, "views")
+    atlas = compose([whole(photo(np.full((4, 4), 0.25), 0.5, 0.5), 4, 4)], (16, 16), 4, "views")
     assert atlas.albedo.pixels[2, 2].tolist() == [188, 188, 188, 255]  # sRGB of 1/2
     assert atlas.relief.pixels[2, 2].tolist() == [128, 128, 128, 255]  # linear
 
 
 def test_clear_texels_take_what_is_around_them() -> None:
     red, blue = (photo(np.ones((4, 4)), color, color) for color in ((0.8, 0, 0), (0, 0, 0.8)))
-    atlas = compose([whole(red, 4, 4), whole(blue, 52, 4)], (60, 12), 4, "views")
+    atlas = compose([whole(red, 4, 4), whole(blue, 52, 4)], (64, 16), 4, "views")
     for image in (atlas.albedo, atlas.relief):
         left, right = image.pixels[:, :6, :3].astype(int), image.pixels[:, 24:, :3].astype(int)
         assert (left[..., 0] > 4 * left[..., 2]).all()
         assert (right[..., 2] > 4 * right[..., 0]).all()
         assert image.pixels[:, :, [0, 2]].sum(axis=2).min() > 100  # nowhere black
+
+
+def test_occlusion_is_the_mean_of_what_is_covered() -> None:
+    alpha, sky = np.zeros((8, 8)), np.zeros((8, 8))
+    alpha[:, :2], sky[:, :2] = 1.0, 0.8
+    alpha[:, 2:4], sky[:, 2:4] = 0.5, 0.2
+    atlas = compose([whole(photo(alpha, sky=sky[..., None]), 8, 8)], (24, 24), 8, "views")
+    assert (atlas.occlusion.pixels == [153, 153, 153, 255]).all()  # (2 0.8 + 2 0.5 0.2) / 3, and around it the same
 
 
 def test_holes_in_a_leaf_take_the_leaf() -> None:
@@ -226,11 +235,11 @@ def test_mips_follow_from_the_gutter(gutter: int, mips: int) -> None:
 
 @pytest.mark.parametrize("gutter", [1, 2, 4, 8])
 def test_no_mip_that_is_kept_shows_a_neighbour(gutter: int) -> None:
-    sizes = pictures(*[(12, 12)] * 9)
+    sizes = pictures(*[(16, 16)] * 9)
     packed = pack_pictures(sizes, gutter, 1024)
     assert packed is not None
     origins, size = packed
-    full, clear = photo(np.ones((12, 12))), photo(np.zeros((12, 12)))
+    full, clear = photo(np.ones((16, 16))), photo(np.zeros((12, 12)))
     for alone in range(9):
         parts = [whole(clear if i == alone else full, *origin) for i, origin in enumerate(origins.tolist())]
         atlas = compose(parts, size, gutter, "views")
@@ -242,11 +251,11 @@ def test_no_mip_that_is_kept_shows_a_neighbour(gutter: int) -> None:
 
 
 def values(atlas: PictureAtlas) -> list[Floats]:
-    return [image.pixels for image in (atlas.coverage, atlas.albedo, atlas.relief)]
+    return [image.pixels for image in (atlas.coverage, atlas.albedo, atlas.relief, atlas.occlusion)]
 
 
 def test_the_order_of_the_parts_does_not_matter() -> None:
     parts = [whole(photo(np.full((4, 4), 0.5 + 0.1 * i), 0.2 * i), 4 + 12 * i, 4) for i in range(3)]
-    one, other = (compose(order, (36, 12), 4, "views") for order in (parts, parts[::-1]))
+    one, other = (compose(order, (40, 16), 4, "views") for order in (parts, parts[::-1]))
     for a, b in zip(values(one), values(other), strict=True):
         np.testing.assert_array_equal(a, b)

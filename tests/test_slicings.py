@@ -325,7 +325,7 @@ def test_nothing_is_mirrored(settings: SlicingSettings) -> None:
 def photo(*columns: float, depth: float = 0.25, slope: tuple[float, float] = (0.6, 0.7)) -> Photo:
     """A picture of one row: coverage of each column; all of it premultiplied."""
     alpha = np.array([columns], np.float32)
-    relief = np.stack([alpha * slope[0], alpha * slope[1], alpha * depth], axis=2)
+    relief = np.stack([alpha * slope[0], alpha * slope[1], alpha * depth, alpha], axis=2)
     return Photo(np.dstack([alpha * 0.5] * 3 + [alpha]), relief)
 
 

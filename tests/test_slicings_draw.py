@@ -80,6 +80,7 @@ class Cards:
             coverage=texture(np.full((CELL, CELL * len(shown), 3), self.coverage, np.uint8)),
             albedo=texture(to_srgb(albedo)),
             relief=texture(np.rint(relief * 255).astype(np.uint8)),
+            occlusion=texture(np.full((CELL // 8, CELL // 8 * len(shown), 3), 255, np.uint8)),
             mips=0,
         )
         return Slicings(

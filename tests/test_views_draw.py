@@ -74,7 +74,9 @@ def made(
         albedo[here][..., :3] = colors[number]
         relief[here][..., :2] = 128
         relief[here][..., 2] = np.rint((depth(columns) / 2 + 0.5) * 255)
-    images = [Texture(n, p) for n, p in (("coverage", coverage), ("albedo", albedo), ("relief", relief))]
+    sky = np.full((CELL // 8, size[0] // 8, 4), 255, np.uint8)
+    parts = (("coverage", coverage), ("albedo", albedo), ("relief", relief), ("occlusion", sky))
+    images = [Texture(name, pixels) for name, pixels in parts]
     corners = half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
     return Views(
         pictures=table,

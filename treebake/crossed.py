@@ -7,7 +7,7 @@ import numpy as np
 from treebake.coverage import preserve_coverage
 from treebake.errors import BudgetError
 from treebake.gl.photo import Photo, Shot
-from treebake.images import color_texels, normal_texels
+from treebake.images import color_texels, normal_texels, occlusion_map
 from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Mesh, Texture
 from treebake.pictures import MOST_ATLAS, STEEPEST, covered, pack_pictures, trimmed
 
@@ -16,7 +16,7 @@ _GUTTER = 2
 
 
 def crossed_cards(shots: Sequence[Shot], photos: Sequence[Photo], depths: Doubles, name: str) -> Mesh:
-    """A card per photo that shows anything, in one alpha-masked material with colour and normals. O(texels).
+    """A card per photo that shows anything, in one alpha-masked material with colour, normals and occlusion. O(texels).
 
     depths: (S,) float64, where each card lies along its shot's way to the viewer. The atlas's alpha is shaped, so that
     a viewer's own mipmaps keep the coverage. Cards have two sides.
@@ -33,17 +33,20 @@ def crossed_cards(shots: Sequence[Shot], photos: Sequence[Photo], depths: Double
     origins, used = packed
     width, height = (1 << max(side - 1, 1).bit_length() for side in used)  # what shaping asks for
     albedo, normal = np.zeros((height, width, 4), np.float32), np.zeros((height, width, 3), np.float32)
+    sky = np.zeros((height, width), np.float32)
     for index, (left, top, right, bottom), (x, y) in zip(shown, crops, origins, strict=True):
         photo, here = photos[index], np.s_[top:bottom, left:right]
         there = np.s_[y : y + bottom - top, x : x + right - left]
         albedo[there] = photo.albedo[here]
         normal[there] = _normals(photo.relief[here], photo.albedo[here][..., 3])
+        sky[there] = photo.relief[here][..., 3]
     alpha = preserve_coverage(albedo[..., 3], _CUTOFF)
     texels = np.dstack([color_texels(albedo), np.rint(alpha * 255).astype(np.uint8)])
     material = Material(
         name=name,
         color_map=Texture(f"{name}_color", texels),
         normal_map=Texture(f"{name}_normal", normal_texels(normal, albedo[..., 3])),
+        occlusion_map=occlusion_map(f"{name}_occlusion", sky, albedo[..., 3]),
         alpha_mode=AlphaMode.MASK,
         alpha_cutoff=_CUTOFF,
         double_sided=True,

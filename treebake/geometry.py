@@ -160,6 +160,11 @@ def turn_to(elevation: float, azimuth: float) -> Doubles:
     return np.stack([right, np.cross(towards, right), towards])
 
 
+def corner_occlusion(mesh: Mesh) -> Floats:
+    """The part of the sky that the corners of each face see: (F, 3) float32, ones where it is not known."""
+    return np.ones(mesh.faces.shape, np.float32) if mesh.occlusion is None else mesh.occlusion[mesh.faces]
+
+
 def join(first: Mesh, second: Mesh) -> Mesh:
     """Both meshes in one; materials and nodes that they share stay shared.
 

@@ -142,6 +142,27 @@ def normal_texels(normal: Floats, coverage: Floats) -> Bytes:
     return texels
 
 
+def value_texels(values: Floats, coverage: Floats) -> Bytes:
+    """A value in 0..1, premultiplied by coverage, bled like the colour: both (h, w) float32, gives (h, w) uint8."""
+    spread = bleed(np.dstack([values, values, values, coverage]))[..., 0]
+    return np.asarray(np.rint(np.clip(spread, 0, 1) * 255), np.uint8)
+
+
+def occlusion_map(name: str, sky: Floats, coverage: Floats) -> Texture | None:
+    """The part of the sky that is seen, premultiplied by coverage, as a grey map of half the size each way: smooth.
+
+    sky, coverage: (h, w) float32; a side that is odd stays whole. Bled like the colour. None where all sees all.
+    """
+    if np.array_equal(sky, coverage):
+        return None
+    both = np.dstack([sky, coverage])
+    for axis in (0, 1):
+        if both.shape[axis] % 2 == 0:
+            both = _halved(both, axis)
+    grey = value_texels(both[..., 0], both[..., 1])
+    return Texture(name, np.dstack([grey, grey, grey, np.full_like(grey, 255)]))
+
+
 def mip_chain(pixels: Bytes, *, srgb: bool) -> list[Bytes]:
     """A texture (h, w, 4) uint8 and its mips down to one texel, averaged 2 x 2 as a graphics driver does.
 

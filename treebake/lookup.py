@@ -167,6 +167,14 @@ def look_up(
     return hits
 
 
+def ambient_at(textures: IndirectTextures, placement: Ints, place: Doubles) -> Doubles:
+    """The part of the sky that is seen at places (R, 2) of placements (R,), as in `Hits`: (R,) float64, 0 to 1."""
+    left_top, right_top, right_bottom, left_bottom = textures.ambient.reshape(-1, 4)[placement].T / 255
+    x, y = np.clip(place.T * 0.5 + 0.5, 0, 1)
+    top, bottom = left_top + x * (right_top - left_top), left_bottom + x * (right_bottom - left_bottom)
+    return np.asarray(top + y * (bottom - top))
+
+
 def _nothing(count: int) -> Hits:
     return Hits(
         along=np.ones(count),

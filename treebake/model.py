@@ -282,7 +282,7 @@ class Hierarchy:
 class BillboardCloud:
     """Cards on the planes of the clusters, with one atlas.
 
-    mesh: the cards, with one material (MASK, double-sided) whose colour and normal maps are the atlas.
+    mesh: the cards, with one material (MASK, double-sided) whose colour, normal and occlusion maps are the atlas.
     face_cluster: (F,) int32, the plane on which each triangle of the mesh lies. displacement: how far points of leaves
     were moved for it, root mean square, in the tree's unit.
     """
@@ -333,15 +333,14 @@ class PictureAtlas:
     coverage: grey, what part of each texel is covered. The others have half its width and height. albedo: sRGB,
     without light. relief: RG are the surface's slopes to the picture's right and up, -4 to 4; B is depth, from the far
     end of the picture's range to the viewer's. occlusion: grey, the part of the sky that is seen, an eighth as wide and
-    high as the coverage. mips: how many of the coverage's, below its first one, show nothing of
-    a picture's neighbours.
+    high as the coverage. mips: how many of the coverage's, below its first one, show nothing of a picture's neighbours.
     """
 
     coverage: Texture
     albedo: Texture
     relief: Texture
+    occlusion: Texture
     mips: int
-    occlusion: Texture | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from treebake.errors import BudgetError
 from treebake.gl.photo import Photo
-from treebake.images import bleed, to_srgb
+from treebake.images import bleed, to_srgb, value_texels
 from treebake.model import Bytes, Floats, Ints, Longs, PictureAtlas, Texture
 
 STEEPEST = 4.0  # slopes run from -STEEPEST to STEEPEST
@@ -18,6 +18,7 @@ MOST_ATLAS = 16384  # texels a side
 _FEW = 120  # pictures, up to which the better of two ways to pack is quick
 _LEAST = 0.07  # coverage of a texel that makes a picture larger
 CELL = 4  # texels: every picture begins and ends with a compressed block
+OCCLUSION = 8  # texels of the coverage each way for one of the occlusion, which is smooth
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,11 +46,11 @@ def pack_pictures(sizes: Ints, gutter: int, limit: int) -> tuple[Ints, tuple[int
 
     sizes: (C, 2) int32, columns and rows. gutter: texels kept free around each, a power of two. limit: the atlas's
     greatest side, another. Returns the top left texel of each (C, 2) int32, on whole blocks of compression, and the
-    atlas's (width, height), which halve evenly as often as the gutter does; None where they do not fit. About O(C^2):
-    0.1 s for 100 pictures, 1 s for 1,000. Shelves, as for cards, leave 12 % of a chestnut's slices' atlas empty, this
-    4 %.
+    atlas's (width, height), multiples of `OCCLUSION` that halve evenly as often as the gutter does; None where they do
+    not fit. About O(C^2): 0.1 s for 100 pictures, 1 s for 1,000. Shelves, as for cards, leave 12 % of a chestnut's
+    slices' atlas empty, this 4 %.
     """
-    cell = max(CELL, gutter)
+    cell = max(OCCLUSION, gutter)
     if not len(sizes):
         return np.zeros((0, 2), np.int32), (cell, cell)
     cells = (-(-(sizes + 2 * gutter) // CELL)).astype(np.int64)
@@ -95,16 +96,17 @@ def place_pictures(sizes: Ints, gutter: int, limit: int, table: str, others: str
 
 
 def compose(parts: Iterable[Part], size: tuple[int, int], gutter: int, name: str) -> PictureAtlas:
-    """Put parts of photos into an atlas of `size` (width, height), both even. O(texels).
+    """Put parts of photos into an atlas of `size` (width, height), multiples of `OCCLUSION`. O(texels).
 
     gutter: texels that are free around each part and show the photo's own surroundings.
 
     Coverage keeps every texel; of the rest, one texel of each 2 x 2 is kept, the one that is covered most, because a
-    mean of two leaves is neither. Clear texels take what is around them, so that no mip mixes in what is not there.
+    mean of two leaves is neither. Occlusion is a mean, of what is covered. Clear texels take what is around them, so
+    that no mip mixes in what is not there.
     """
     width, height = size
     coverage = np.zeros((height, width), np.float32)
-    values = np.zeros((height, width, 6), np.float32)  # albedo, relief
+    values = np.zeros((height, width, 7), np.float32)  # albedo, relief, occlusion
     for part in parts:
         photo, (rows, columns), (x, y) = part.photo, part.source, part.origin
         # The gutter shows what is around the part, so that nothing fades where a picture was cut in two.
@@ -114,23 +116,26 @@ def compose(parts: Iterable[Part], size: tuple[int, int], gutter: int, name: str
         there = np.s_[y - top : y - top + alpha.shape[0], x - left : x - left + alpha.shape[1]]
         coverage[there] = alpha
         values[there] = np.dstack([photo.albedo[here][..., :3], photo.relief[here]])
-    best = _blocks(coverage[..., None]).argmax(axis=2)[..., None]
-    alpha = np.take_along_axis(_blocks(coverage[..., None]), best, axis=2)[:, :, 0]
-    values = np.take_along_axis(_blocks(values), best, axis=2)[:, :, 0]
+    sky, share = (_blocks(image, OCCLUSION).mean(axis=2)[..., 0] for image in (values[..., 6:], coverage[..., None]))
+    grey = value_texels(sky, share)
+    best = _blocks(coverage[..., None], 2).argmax(axis=2)[..., None]
+    alpha = np.take_along_axis(_blocks(coverage[..., None], 2), best, axis=2)[:, :, 0]
+    values = np.take_along_axis(_blocks(values[..., :6], 2), best, axis=2)[:, :, 0]
     albedo, relief = (bleed(np.dstack([values[..., i : i + 3], alpha])) for i in (0, 3))
     return PictureAtlas(
         coverage=_texture(f"{name}_coverage", np.repeat(_bytes(coverage)[..., None], 3, axis=2)),
         albedo=_texture(f"{name}_albedo", to_srgb(albedo)),
         relief=_texture(f"{name}_relief", _bytes(relief)),
+        occlusion=_texture(f"{name}_occlusion", np.repeat(grey[..., None], 3, axis=2)),
         mips=gutter.bit_length() - 1,
     )
 
 
-def _blocks(image: Floats) -> Floats:
-    """(h, w, n) as blocks of 2 x 2 texels: (h / 2, w / 2, 4, n)."""
+def _blocks(image: Floats, side: int) -> Floats:
+    """(h, w, n) as blocks of side x side texels: (h / side, w / side, side^2, n)."""
     height, width, channels = image.shape
-    tiles = image.reshape(height // 2, 2, width // 2, 2, channels).transpose(0, 2, 1, 3, 4)
-    return tiles.reshape(height // 2, width // 2, 4, channels)
+    tiles = image.reshape(height // side, side, width // side, side, channels).transpose(0, 2, 1, 3, 4)
+    return tiles.reshape(height // side, width // side, side**2, channels)
 
 
 def _bytes(values: Floats) -> Bytes:

@@ -1,6 +1,6 @@
 """The order of the stages, on one screen.
 
-    load -> split -> twigs -> cluster, twice                `cluster_tree`: a mesh file into the work folder
+    load -> split -> occlusion -> twigs -> cluster, twice   `cluster_tree`: a mesh file into the work folder
             -> views, indirect, slicings, billboards, trunk
             -> hierarchy -> a cloud and a trunk for each level (`levels.py`)
             -> ladder, or smallest -> write_asset           `bake_textures`: the work folder into the published one
@@ -57,6 +57,7 @@ from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
 from treebake.stages.hierarchy import hierarchy
 from treebake.stages.indirect import indirect
+from treebake.stages.occlusion import occlusion
 from treebake.stages.scatter import scatter
 from treebake.stages.slicings import slicings
 from treebake.stages.split import split
@@ -116,7 +117,7 @@ class Source:
 class Clustered:
     """What `cluster_tree` left in the work folder."""
 
-    split: Result[Tree]
+    split: Result[Tree]  # with the sky that its vertices see
     tree: Result[Tree]  # after the thin twigs moved into the foliage
     clusters: Result[Clusters] | None  # None where there is no foliage
     indirect_clusters: Result[Clusters] | None
@@ -139,7 +140,7 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
     _spare(path, work.folder, path.stem)
     with work.announce("load"):
         mesh = replace(read_mesh(path, settings.load), morph=None)  # a level may be a source too
-    parts = work.run(split, settings.split, Result.of(mesh))
+    parts = work.run(occlusion, settings.occlusion, work.run(split, settings.split, Result.of(mesh)))
     tree = work.run(twigs, settings.twigs, parts)
     clusters = indirect_clusters = None
     if tree.value.leaves.count:
@@ -213,7 +214,7 @@ def _check_what_comes_last(settings: Settings) -> None:
 def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> BakedTree:
     """Run what is left of the stages."""
     source, command = _source(work), _command(work)
-    parts, tree = work.read("split", command), work.read("twigs", command)
+    parts, tree = work.read("occlusion", command), work.read("twigs", command)
     layers: IndirectTextures | None = None
     sliced: SlicedFoliage | None = None
     planes: Result[Hierarchy] | None = None

@@ -46,6 +46,7 @@ class AtlasExtras:
     coverage: Index
     albedo: Index
     relief: Index
+    occlusion: Index
     mips: Index  # of the coverage, below its first one, that show no picture's neighbours
 
 

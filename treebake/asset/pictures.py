@@ -15,8 +15,13 @@ from treebake.formats.gltf_file import GltfFile
 from treebake.glb import write_glb
 from treebake.model import Floats, Impostor, PictureAtlas, SlicedFoliage, Slicings, Texture, Views
 
-ATLAS = {"coverage": "linear", "albedo": "sRGB", "relief": "linear"}  # with their colour spaces
-_DRAWN = {"coverage": 8, "albedo": 8, "relief": 16 + 8}  # bytes of a block: BC4, BC1, BC5 and BC4
+ATLAS = {"coverage": "linear", "albedo": "sRGB", "relief": "linear", "occlusion": "linear"}  # with their colour spaces
+_DRAWN = {
+    "coverage": (8, 0),
+    "albedo": (8, 1),
+    "relief": (16 + 8, 1),
+    "occlusion": (8, 3),
+}  # bytes of a block, halvings
 SUPPORT = 33
 
 
@@ -142,14 +147,14 @@ def _names(extras: Extras) -> tuple[str, ...]:
 
 
 def atlas_bytes(atlas: PictureAtlas) -> int:
-    """Bytes on the graphics card of what drawing looks up: coverage BC4, albedo BC1, slopes BC5, depth BC4.
+    """Bytes on the graphics card of what drawing looks up: coverage, depth, occlusion BC4, albedo BC1, slopes BC5.
 
     With the mips that show nothing of neighbours; no others are ever looked up.
     """
     total = 0
-    for name, block in _DRAWN.items():
+    for name, (block, halvings) in _DRAWN.items():
         height, width = getattr(atlas, name).pixels.shape[:2]
-        total += block_bytes(width, height, block, atlas.mips if name == "coverage" else max(atlas.mips - 1, 0))
+        total += block_bytes(width, height, block, max(atlas.mips - halvings, 0))
     return total
 
 
@@ -174,6 +179,9 @@ def _table(file: GltfFile, index: int, columns: int) -> Floats:
 def _sound(table: Floats, atlas: PictureAtlas) -> bool:
     """Whether all texture coordinates of a table of pictures are inside, and the images fit each other."""
     height, width = atlas.coverage.pixels.shape[:2]
-    halves = all(image.pixels.shape[:2] == (height // 2, width // 2) for image in (atlas.albedo, atlas.relief))
+    fitting = all(
+        getattr(atlas, name).pixels.shape[:2] == (height >> halvings, width >> halvings)
+        for name, (_, halvings) in _DRAWN.items()
+    )
     inside = (table[:, 4::2] >= 0) & (table[:, 4::2] <= 1)
-    return bool(len(table) and np.isfinite(table).all() and inside.all() and halves)
+    return bool(len(table) and np.isfinite(table).all() and inside.all() and fitting)

@@ -200,7 +200,8 @@ def _maps(mesh: Mesh) -> list[tuple[Texture, str]]:
     """The textures of the cards, with their colour spaces."""
     if not mesh.triangles:
         return []
-    maps = [(mesh.materials[0].color_map, "sRGB"), (mesh.materials[0].normal_map, "linear")]
+    material = mesh.materials[0]
+    maps = [(material.color_map, "sRGB"), (material.normal_map, "linear"), (material.occlusion_map, "linear")]
     return [(texture, space) for texture, space in maps if texture is not None]
 
 

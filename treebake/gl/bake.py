@@ -1,4 +1,4 @@
-"""Rasterise flattened leaves into an atlas: linear colour, coverage and normals, supersampled."""
+"""Rasterise flattened leaves into an atlas: linear colour, coverage, normals and a value more, supersampled."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ class FlatTriangles:
 
     positions: (M, 3, 3) float32, x and y in texels (row 0 on top), depth between -1 and 1, greatest in front.
     uvs: (M, 3, 2). normals: (M, 3, 3) in the card's frame (right, up, towards the viewer), as seen from the triangle's
-    front.
-    material: (M,) int32.
+    front. values: (M, 3), of each corner, whatever they mean. material: (M,) int32.
     """
 
     positions: Floats
     uvs: Floats
     normals: Floats
+    values: Floats
     material: Ints
 
 
@@ -36,13 +36,13 @@ def bake_atlas(
     """Draw the triangles into an atlas of size (width, height), with `supersample` squared samples a texel.
 
     Returns colour (h, w, 4) float32, linear and premultiplied by its alpha, which is coverage in 0..1; normals
-    (h, w, 3) float32 in the card's frame; and depth (h, w) float32; both premultiplied likewise. Tiled, so that memory
-    stays below 200 MB of samples.
+    (h, w, 3) float32 in the card's frame; and the triangles' values (h, w) float32; both premultiplied likewise. Tiled,
+    so that memory stays below 200 MB of samples.
     """
     gl = context()
     width, height = size
     color = np.empty((height, width, 4), np.float32)
-    normal = np.empty((height, width, 4), np.float32)  # the depth last
+    normal = np.empty((height, width, 4), np.float32)  # the value last
     batches = [_upload(gl, triangles, index, materials[index]) for index in np.unique(triangles.material)]
     tile = min(_TILE, max(width, height))
     film = Film(gl, (tile, tile), supersample, count=2)
@@ -81,9 +81,10 @@ class _Batch:
 
 def _upload(gl: moderngl.Context, triangles: FlatTriangles, index: int, material: Material) -> _Batch:
     mask = triangles.material == index
-    vertices = np.concatenate([triangles.positions[mask], triangles.uvs[mask], triangles.normals[mask]], axis=2)
+    parts = triangles.positions, triangles.uvs, triangles.normals, triangles.values[..., None]
+    vertices = np.concatenate([part[mask] for part in parts], axis=2)
     buffer = gl.buffer(np.ascontiguousarray(vertices, np.float32))
-    layout = [(buffer, "3f 2f 3f", "in_position", "in_uv", "in_normal")]
+    layout = [(buffer, "3f 2f 3f 1f", "in_position", "in_uv", "in_normal", "in_value")]
     array = gl.vertex_array(program("bake"), layout)
     color_map = upload_plain(gl, material.color_map, srgb=True)
     return _Batch(array, color_map, upload_plain(gl, material.normal_map, srgb=False), material)

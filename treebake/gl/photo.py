@@ -35,9 +35,9 @@ class Shot:
 class Photo:
     """A picture, row 0 on top, all of it premultiplied by coverage.
 
-    albedo: (h, w, 4) float32, linear, without light; alpha is coverage in 0..1. relief: (h, w, 3) float32: the
-    surface's slopes to the right and up, -4 to 4 as 0 to 1, and its depth, from 0 at the far end of the shot's box to
-    1 at the viewer's.
+    albedo: (h, w, 4) float32, linear, without light; alpha is coverage in 0..1. relief: (h, w, 4) float32: the
+    surface's slopes to the right and up, -4 to 4 as 0 to 1; its depth, from 0 at the far end of the shot's box to
+    1 at the viewer's; and the part of the sky that it sees.
     """
 
     albedo: Floats
@@ -60,10 +60,12 @@ class _Studio:
 
     def __init__(self, gl: moderngl.Context, mesh: Mesh) -> None:
         self._gl, self._mesh, self._program = gl, mesh, program("photo")
+        occlusion = np.ones(len(mesh.positions)) if mesh.occlusion is None else mesh.occlusion
         layout = (
             (mesh.positions, "3f", "in_position"),
             (mesh.normals, "3f", "in_normal"),
             (mesh.uvs, "2f", "in_uv"),
+            (occlusion, "1f", "in_occlusion"),
         )
         self._buffers = [(gl.buffer(np.ascontiguousarray(v, np.float32)), kind, name) for v, kind, name in layout]
         self._maps = [
@@ -85,8 +87,7 @@ class _Studio:
             shader["slab"] = tuple(np.clip(slab, -1e30, 1e30).tolist())
             self._draw(faces)
         self._gl.cull_face = "back"
-        albedo, relief = film.develop()
-        return Photo(albedo, np.ascontiguousarray(relief[..., :3]))
+        return Photo(*film.develop())
 
     def _draw(self, faces: Ints) -> None:
         if not len(faces):

@@ -20,7 +20,8 @@ _SEAM = 1e-5  # texture coordinates farther apart than this are different
 class Rings:
     """R closed polygons, each a run of samples whose last repeats the first, with its own texture coordinates there.
 
-    first: (R + 1,) offsets into the samples. positions, normals: (S, 3) float64. uvs: (S, 2) float64.
+    first: (R + 1,) offsets into the samples. positions, normals: (S, 3) float64. uvs: (S, 2) float64. occlusion: (S,)
+    float64, as in Mesh; ones where it is not known.
     fractions: (S,) float64, part of the perimeter walked, 0 to 1. centers: (R, 3) float64, of the perimeter.
     perimeters: (R,) float64; 0 for a ring that is a point, which has two equal samples.
     """
@@ -29,6 +30,7 @@ class Rings:
     positions: Doubles
     normals: Doubles
     uvs: Doubles
+    occlusion: Doubles
     fractions: Doubles
     centers: Doubles
     perimeters: Doubles
@@ -120,11 +122,14 @@ def find_tubes(mesh: Mesh) -> Tubes:
     uvs[offsets[1:] - 1] = arrive[order[offsets[1:] - 2]]
     uvs = _unfold(uvs, offsets, first, ring[corner], uv)
     normals = scatter(mesh.normals[raw].reshape(-1, 3).astype(np.float64), corner.ravel(), len(ring))
+    sky = np.ones(len(mesh.positions)) if mesh.occlusion is None else mesh.occlusion.astype(np.float64)
+    occlusion = _means(sky[raw.ravel()], corner.ravel(), len(ring))
 
     flat = surface.faces[ladder.flat]
     cap_raw = mesh.faces[surface.ids[ladder.flat]].ravel()
     shares = np.maximum(np.bincount(flat.ravel(), minlength=len(ring)), 1)[:, None]
     cap_uvs = scatter(mesh.uvs[cap_raw].astype(np.float64), flat.ravel(), len(ring)) / shares
+    cap_occlusion = _means(sky[cap_raw], flat.ravel(), len(ring))
     cap_normals = scatter(mesh.normals[cap_raw].astype(np.float64), flat.ravel(), len(ring))
     cap_ring = np.unique(ring[flat].max(axis=1, initial=-1))
     cap_order, cap_offsets = _walk(start[cap_ring], ladder.after, sides[cap_ring])
@@ -135,10 +140,16 @@ def find_tubes(mesh: Mesh) -> Tubes:
     of_base = np.zeros(first[-1], np.int64)
     of_base[face_ring[surface.ids[ladder.side]]] = surface.ids[ladder.side]
     return Tubes(
-        rings=_rings(offsets, surface.positions[order], normals[order], uvs),
+        rings=_rings(offsets, surface.positions[order], normals[order], uvs, occlusion[order]),
         first=first,
         mirrored=mirrored,
-        caps=_rings(cap_offsets, surface.positions[cap_order], cap_normals[cap_order], cap_uvs[cap_order]),
+        caps=_rings(
+            cap_offsets,
+            surface.positions[cap_order],
+            cap_normals[cap_order],
+            cap_uvs[cap_order],
+            cap_occlusion[cap_order],
+        ),
         cap_ring=cap_ring,
         material=mesh.face_material[of_base[first[:-1]]],
         node=mesh.face_node[of_base[first[:-1]]],
@@ -246,7 +257,12 @@ def _unfold(uvs: Doubles, offsets: Longs, first: Longs, ring: Longs, uv: Doubles
     return unfolded
 
 
-def _rings(first: Longs, positions: Doubles, normals: Doubles, uvs: Doubles) -> Rings:
+def _means(values: Doubles, vertex: Longs, count: int) -> Doubles:
+    """(count,) the mean of the values (N,) at each vertex; 0 where there is none."""
+    return np.asarray(np.bincount(vertex, values, count) / np.maximum(np.bincount(vertex, minlength=count), 1))
+
+
+def _rings(first: Longs, positions: Doubles, normals: Doubles, uvs: Doubles, occlusion: Doubles) -> Rings:
     count = len(first) - 1
     ring = np.repeat(np.arange(count), np.diff(first))
     steps = np.zeros(len(positions))
@@ -266,6 +282,7 @@ def _rings(first: Longs, positions: Doubles, normals: Doubles, uvs: Doubles) -> 
         positions=positions,
         normals=normals / np.where(lengths > 0, lengths, 1),
         uvs=uvs,
+        occlusion=occlusion,
         fractions=fractions,
         centers=centers,
         perimeters=perimeters,

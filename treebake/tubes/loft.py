@@ -11,9 +11,9 @@ from treebake.tubes.plan import Plan
 def loft(mesh: Mesh, tubes: Tubes, chosen: Plan) -> tuple[Mesh, Longs]:
     """Build the planned rings and join each strand's: the mesh, and the strand of each of its faces: (F,).
 
-    Texture coordinates and normals are the source's, blended linearly between its vertices; the first vertex of a ring
-    comes twice, with the texture coordinates of either side of the seam. Each ring grows about its centre until its
-    perimeter is the source's times the plan's width. Caps come back as fans with vertices of their own.
+    Texture coordinates, normals and occlusion are the source's, blended linearly between its vertices; the first vertex
+    of a ring comes twice, with the texture coordinates of either side of the seam. Each ring grows about its centre
+    until its perimeter is the source's times the plan's width. Caps come back as fans with vertices of their own.
     """
     rings, count = tubes.rings, len(chosen.ring)
     follows = np.append(False, np.diff(chosen.strand) == 0)[:count]
@@ -32,7 +32,7 @@ def loft(mesh: Mesh, tubes: Tubes, chosen: Plan) -> tuple[Mesh, Longs]:
     tip = point[row]  # where the source's normals may cancel out: as on the ring beside
     low[1][tip] = _sample(rings, chosen.ring[beside[row[tip]]], fraction[tip])[1]
     high = _sample(rings, after[row], fraction)
-    position, normal, uv = (a + chosen.blend[row, None] * (b - a) for a, b in zip(low, high, strict=True))
+    position, normal, uv, sky = (a + chosen.blend[row, None] * (b - a) for a, b in zip(low, high, strict=True))
     center = rings.centers[chosen.ring] + chosen.blend[:, None] * (rings.centers[after] - rings.centers[chosen.ring])
     perimeter = rings.perimeters[chosen.ring] * (1 - chosen.blend) + rings.perimeters[after] * chosen.blend
     side = np.linalg.norm(np.diff(position, axis=0), axis=1) * (np.diff(row) == 0)
@@ -46,7 +46,7 @@ def loft(mesh: Mesh, tubes: Tubes, chosen: Plan) -> tuple[Mesh, Longs]:
     faces, strand = _zip(columns, point, offset, np.flatnonzero(follows) - 1, chosen.strand)
     cap, cap_row, cap_faces = _caps(tubes, chosen, len(position))
     cap_fraction = fraction[offset[cap_row] + cap[1]]
-    _, cap_normal, cap_uv = _sample(tubes.caps, cap[0], cap_fraction)
+    _, cap_normal, cap_uv, cap_sky = _sample(tubes.caps, cap[0], cap_fraction)
     position = np.concatenate([position, position[offset[cap_row] + cap[1]]])
     normal = np.concatenate([normal, cap_normal])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -62,12 +62,13 @@ def loft(mesh: Mesh, tubes: Tubes, chosen: Plan) -> tuple[Mesh, Longs]:
         face_node=tubes.node[tube[strand]],
         materials=mesh.materials,
         nodes=mesh.nodes,
+        occlusion=None if mesh.occlusion is None else np.concatenate([sky, cap_sky])[:, 0].astype(np.float32),
     )
     return built, strand
 
 
-def _sample(rings: Rings, ring: Longs, fraction: Doubles) -> tuple[Doubles, Doubles, Doubles]:
-    """Position, normal and texture coordinates at a fraction of a ring's perimeter, blended between its samples.
+def _sample(rings: Rings, ring: Longs, fraction: Doubles) -> tuple[Doubles, Doubles, Doubles, Doubles]:
+    """Position, normal, texture coordinates and occlusion (N, 1) at a fraction of a perimeter, between its samples.
 
     So is the distance from the centre: the source's polygon stands for a round branch, and points on its sides would
     make a new one that is lopsided.
@@ -77,15 +78,15 @@ def _sample(rings: Rings, ring: Longs, fraction: Doubles) -> tuple[Doubles, Doub
     index = np.clip(index, rings.first[ring], rings.first[ring + 1] - 2)
     start, stop = rings.fractions[index], rings.fractions[index + 1]
     t = ((fraction - start) / np.where(stop > start, stop - start, 1))[:, None]
-    position, normal, uv = (
+    position, normal, uv, sky = (
         values[index] + t * (values[index + 1] - values[index])
-        for values in (rings.positions, rings.normals, rings.uvs)
+        for values in (rings.positions, rings.normals, rings.uvs, rings.occlusion[:, None])
     )
     center = rings.centers[ring]
     near, far = (np.linalg.norm(rings.positions[index + end] - center, axis=1) for end in (0, 1))
     cut = np.linalg.norm(position - center, axis=1)
     bulge = np.where(cut > 0, (near + t[:, 0] * (far - near)) / np.where(cut > 0, cut, 1), 1)
-    return center + bulge[:, None] * (position - center), normal, uv
+    return center + bulge[:, None] * (position - center), normal, uv, sky
 
 
 def _zip(columns: Longs, point: Mask, offset: Longs, lower: Longs, strand: Longs) -> tuple[Longs, Longs]:

@@ -6,15 +6,18 @@ uniform mat4 to_clip;  // a parallel projection; rows run downwards in the pictu
 in vec3 in_position;
 in vec3 in_normal;
 in vec2 in_uv;
+in float in_occlusion;
 
 out vec3 position;
 out vec3 normal;
 out vec2 uv;
+out float occlusion;
 
 void main() {
     position = in_position;
     normal = in_normal;
     uv = in_uv;
+    occlusion = in_occlusion;
     gl_Position = to_clip * vec4(in_position, 1.0);
 }
 #endif
@@ -31,9 +34,10 @@ uniform bool has_normal_map;
 in vec3 position;
 in vec3 normal;
 in vec2 uv;
+in float occlusion;
 
 layout(location = 0) out vec4 out_albedo;
-layout(location = 1) out vec4 out_relief;  // slopes to the right and up, and depth
+layout(location = 1) out vec4 out_relief;  // slopes to the right and up, depth, and the part of the sky that is seen
 
 #include "cutout.glsl"
 #include "normal_map.glsl"
@@ -54,6 +58,6 @@ void main() {
     vec3 seen = turn * facing;
     vec2 slope = seen.xy / max(seen.z, 1e-3);
     slope *= min(1.0, STEEPEST / max(length(slope), 1e-6));
-    out_relief = vec4(slope / STEEPEST * 0.5 + 0.5, (depth - range.x) / (range.y - range.x), 1.0);
+    out_relief = vec4(slope / STEEPEST * 0.5 + 0.5, (depth - range.x) / (range.y - range.x), occlusion);
 }
 #endif

@@ -8,8 +8,9 @@ import numpy as np
 from treebake.checks import check, is_power_of_two
 from treebake.coverage import preserve_coverage
 from treebake.flatten import FlatLeaves, flatten, plane_frames
+from treebake.geometry import corner_occlusion
 from treebake.gl.bake import FlatTriangles, bake_atlas
-from treebake.images import color_texels, normal_texels
+from treebake.images import color_texels, normal_texels, occlusion_map
 from treebake.model import (
     AlphaMode,
     BillboardCloud,
@@ -57,14 +58,16 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
     cards = cut_cards(flat, clusters.labels, settings.triangles // 2, margin)
     origins, density, size = pack(cards.sizes, settings.atlas, density_limit, settings.padding)
     triangles = _placed(tree.foliage, flat, cards, origins, density)
-    color, normal, _ = bake_atlas(triangles, tree.foliage.materials, size, settings.supersample)
+    color, normal, sky = bake_atlas(triangles, tree.foliage.materials, size, settings.supersample)
     texels, normals = color_texels(color), normal_texels(normal, color[..., 3])
+    occlusion = occlusion_map("foliage_occlusion", sky, color[..., 3])
 
     def cloud(alpha: Floats) -> BillboardCloud:
         material = Material(
             name="foliage",
             color_map=Texture("foliage_color", np.dstack([texels, np.rint(alpha * 255).astype(np.uint8)])),
             normal_map=Texture("foliage_normal", normals),
+            occlusion_map=occlusion,
             alpha_mode=AlphaMode.MASK,
             alpha_cutoff=settings.cutoff,
             double_sided=True,
@@ -126,6 +129,7 @@ def _placed(foliage: Mesh, flat: FlatLeaves, cards: Cards, origins: Ints, densit
         positions=np.concatenate([texels, depth[..., None]], axis=-1).astype(np.float32),
         uvs=foliage.uvs[foliage.faces[flat.face]],
         normals=normals.astype(np.float32),
+        values=corner_occlusion(foliage)[flat.face],
         material=foliage.face_material[flat.face],
     )
 

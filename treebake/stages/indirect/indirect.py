@@ -10,6 +10,7 @@ from treebake.model import Clusters, Floats, IndirectTextures, Ints, Leaves, Tre
 from treebake.packing import pack_cells
 from treebake.placements import SHAPES, Placements
 from treebake.placements import pack as pack_placements
+from treebake.stages.indirect.ambient import ambient
 from treebake.stages.indirect.boxes import Boxes, box
 from treebake.stages.indirect.far import draw_far
 from treebake.stages.indirect.leaf_images import LeafImages, draw_leaf_images
@@ -69,7 +70,7 @@ def indirect(tree: Tree, clusters: Clusters, settings: IndirectSettings) -> Indi
         hash_texture=hashes,
         lists_texture=lists,
         placements=placements,
-        ambient=np.full_like(placements, 255, dtype=np.uint8),
+        ambient=in_rows(ambient(tree.foliage, leaves, exact)[order]),
         leaves=leaves.count,
         largest=largest / side,
         leaf_color=images.color,

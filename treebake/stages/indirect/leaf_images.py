@@ -195,6 +195,7 @@ class _Sides:
             positions=np.concatenate([texels, depth], axis=2).astype(np.float32),
             uvs=self.foliage.uvs[self.foliage.faces[self.faces[face]]],
             normals=self.normals[face].astype(np.float32),
+            values=depth[..., 0].astype(np.float32),
             material=self.foliage.face_material[self.faces[face]],
         )
         color, normal, height = bake_atlas(triangles, self.foliage.materials, size, supersample)

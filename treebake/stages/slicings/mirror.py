@@ -43,7 +43,7 @@ def _difference(front: Photo, behind: Photo) -> float:
     mirrored = front.albedo[:, ::-1]
     relief = front.relief[:, ::-1].copy()
     alpha = mirrored[..., 3:]
-    relief[..., 1:] = alpha - relief[..., 1:]  # the slope up and the depth run the other way; both premultiplied
+    relief[..., 1:3] = alpha - relief[..., 1:3]  # the slope up and the depth run the other way; both premultiplied
     both = np.concatenate([mirrored - behind.albedo, relief - behind.relief], axis=2)
     area = float(np.maximum(front.albedo[:, ::-1, 3], behind.albedo[..., 3]).sum())
     return float(np.abs(both).max(axis=2).sum()) / area if area else 0.0

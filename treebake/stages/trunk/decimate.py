@@ -21,8 +21,8 @@ _UV_STEPS, _NORMAL_STEPS = 4096, 64  # vertices nearer than this part of a tile,
 def decimate(mesh: Mesh, triangles: int) -> Mesh:
     """Collapse edges of the welded mesh until at most `triangles` are left, dropping the smallest components at last.
 
-    Texture coordinates and normals of each corner are those of the nearest source face, across a seam by whole tiles.
-    O(F log F).
+    Texture coordinates, normals and occlusion of each corner are those of the nearest source face, across a seam by
+    whole tiles. O(F log F).
     """
     surface = find_surface(mesh)
     if not len(surface.ids) or triangles <= 0:
@@ -61,6 +61,7 @@ def _bare(mesh: Mesh, surface: Surface, points: Doubles, faces: Longs) -> Mesh:
     within = np.maximum(within, 0) / np.maximum(within, 0).sum(axis=1, keepdims=True)
     uvs = np.einsum("ni,nij->nj", within, uv[face]).reshape(-1, 3, 2)
     normals = np.einsum("ni,nij->nj", within, normal[face])
+    sky = None if mesh.occlusion is None else np.einsum("ni,ni->n", within, mesh.occlusion[raw[face]])
     here = np.einsum("ni,nij->nj", _barycentric(source[home], middles), uv[home])[:, None]
     around = _barycentric(np.repeat(source[home], 3, axis=0), corners.reshape(-1, 3))
     straight = np.einsum("ni,nij->nj", around, np.repeat(uv[home], 3, axis=0)).reshape(-1, 3, 2)
@@ -83,6 +84,7 @@ def _bare(mesh: Mesh, surface: Surface, points: Doubles, faces: Longs) -> Mesh:
         face_node=mesh.face_node[surface.ids[home]],
         materials=mesh.materials,
         nodes=mesh.nodes,
+        occlusion=None if sky is None else sky[first].astype(np.float32),
     )
 
 

@@ -1,0 +1,73 @@
+"""The part of the sky that every vertex of a tree sees: ambient occlusion, once for all representations ([GPSS07] 5.2).
+
+Mean absolute error of the leaves' vertices against 1,024 rays, whose own noise is 0.012, and the time:
+
+| directions, texels, bias in leaves | chestnut | oak, two painted quads a leaf | birch |
+|---|---|---|---|
+| 128, 1024, 0.05 | 0.036, 2.7 s | | 0.040 |
+| 256, 512, 0.05 | 0.031, 3.6 s | 0.022 | 0.036 |
+| 256, 1024, 0.05 | 0.030, 5.6 s | 0.027 | 0.034 |
+| 256, 1024, 0.02 | 0.032, 5.5 s | 0.019 | 0.033 |
+| 256, 2048, 0.01 | 0.030, 16 s | | 0.031 |
+
+Of the birch without the feet of the leaves, which lie inside a twig: a ray from there sees nothing, a vertex moved by
+the bias is outside, and what is seen of the leaf does not darken towards it. Without the slope of the vertex's own
+plane the chestnut's error is 0.045 at 1024 texels and a bias of 0.05, and 0.056 at 0.02.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from treebake.checks import check
+from treebake.geometry import join
+from treebake.gl.occlusion import sky_seen
+from treebake.model import Tree
+
+_BIAS = 0.05  # of a leaf's size, by which vertices are moved towards the sky
+_LEAFLESS = 5e-4  # of the tree's greatest extent, where there is no leaf
+
+
+@dataclass(frozen=True)
+class OcclusionSettings:
+    """How finely the sky is looked at."""
+
+    directions: int = 256  # from which light of the sky comes, even, 2 to 4096; 0: every vertex sees the whole sky
+    texels: int = 512  # of a depth map's side, 16 to 4096
+    seed: int = 0  # of the turn of all directions, 0 or more
+
+
+def occlusion(tree: Tree, settings: OcclusionSettings) -> Tree:
+    """Give the vertices of trunk and foliage the part of the sky that they see, each hidden by both. See `sky_seen`.
+
+    Raises SettingsError where a setting is out of range, and GraphicsError where there is no OpenGL.
+    """
+    _check(settings)
+    if not settings.directions:
+        return tree
+    whole = join(tree.trunk, tree.foliage)
+    first = len(tree.trunk.positions)
+    leaf = tree.leaves.size * _BIAS if tree.leaves.count else float(np.ptp(whole.bounds, axis=0).max()) * _LEAFLESS
+    seen = sky_seen(
+        whole,
+        np.arange(len(whole.positions)) >= first,
+        directions=settings.directions,
+        texels=settings.texels,
+        bias=leaf,
+        seed=settings.seed,
+    )
+    return replace(
+        tree,
+        trunk=replace(tree.trunk, occlusion=seen[:first]),
+        foliage=replace(tree.foliage, occlusion=seen[first:]),
+    )
+
+
+def _check(settings: OcclusionSettings) -> None:
+    even = settings.directions % 2 == 0 and 0 <= settings.directions <= 4096
+    rules = (
+        ("directions", even, "an even number from 2 to 4096, or 0"),
+        ("texels", 16 <= settings.texels <= 4096, "16 to 4096"),
+        ("seed", settings.seed >= 0, "0 or more"),
+    )
+    check("occlusion", settings, rules)
