@@ -1,6 +1,6 @@
 """The order of the stages, on one screen.
 
-    load -> split -> twigs -> cluster, twice                `cluster_tree`: a mesh file into the work folder
+    load -> split -> translucency -> twigs -> cluster twice `cluster_tree`: a mesh file into the work folder
             -> views, indirect, slicings, billboards, trunk
             -> hierarchy -> a cloud and a trunk for each level (`levels.py`)
             -> ladder, or smallest -> write_asset           `bake_textures`: the work folder into the published one
@@ -60,6 +60,7 @@ from treebake.stages.indirect import indirect
 from treebake.stages.scatter import scatter
 from treebake.stages.slicings import slicings
 from treebake.stages.split import split
+from treebake.stages.translucency import translucency
 from treebake.stages.trunk import TrunkReport, compare, trunk
 from treebake.stages.twigs import twigs
 from treebake.stages.views import views
@@ -93,6 +94,7 @@ LOG = logging.getLogger("treebake")
 
 T = TypeVar("T", Rung, LeftOut)
 
+_PARTS = "translucency"  # the name of the last result before the twigs move
 _INDIRECT_CLUSTER = "indirect_cluster"  # the name of the second clustering's result
 
 
@@ -134,6 +136,7 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
     with work.announce("load"):
         mesh = replace(read_mesh(path, settings.load), morph=None)  # a level may be a source too
     parts = work.run(split, settings.split, Result.of(mesh))
+    parts = work.run(translucency, settings.translucency, parts)
     tree = work.run(twigs, settings.twigs, parts)
     clusters = indirect_clusters = None
     if tree.value.leaves.count:
@@ -207,7 +210,7 @@ def _check_what_comes_last(settings: Settings) -> None:
 def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> BakedTree:
     """Run what is left of the stages."""
     source, command = _source(work), _command(work)
-    parts, tree = work.read("split", command), work.read("twigs", command)
+    parts, tree = work.read(_PARTS, command), work.read("twigs", command)
     layers: IndirectTextures | None = None
     sliced: SlicedFoliage | None = None
     planes: Result[Hierarchy] | None = None
@@ -239,13 +242,14 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
         source_triangles=source.triangles,
         source_bounds=source.bounds,
         levels=bake_levels(work, settings, parts, tree, planes, solid) if settings.levels.enabled else (),
+        translucency=parts.value.translucency,
     )
 
 
 def _publish(work: Workspace, baked: BakedTree, folder: Path, shared: Path | None, settings: Settings) -> Baked:
     """Measure the asset, publish it, and tell what is left of the trunk."""
     command = _command(work)
-    parts: Result[Tree] = work.read("split", command)
+    parts: Result[Tree] = work.read(_PARTS, command)
     published, measured = _measured(work, baked, parts, settings)
     if shared and measured:  # the draft had the views beside it
         measured = _with_views_in(measured, shared.as_posix())

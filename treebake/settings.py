@@ -28,6 +28,7 @@ from treebake.stages.indirect import IndirectSettings
 from treebake.stages.scatter import ForestSettings
 from treebake.stages.slicings import SlicingSettings
 from treebake.stages.split import SplitSettings
+from treebake.stages.translucency import TranslucencySettings
 from treebake.stages.trunk import TrunkSettings
 from treebake.stages.twigs import TwigSettings
 from treebake.stages.views import ViewSettings
@@ -56,6 +57,7 @@ class Settings:
 
     load: LoadSettings = field(default_factory=LoadSettings)
     split: SplitSettings = field(default_factory=SplitSettings)
+    translucency: TranslucencySettings = field(default_factory=TranslucencySettings)
     twigs: TwigSettings = field(default_factory=TwigSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
     hierarchy: HierarchySettings = field(default_factory=HierarchySettings)

@@ -68,6 +68,7 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
             alpha_mode=AlphaMode.MASK,
             alpha_cutoff=settings.cutoff,
             double_sided=True,
+            transmission=tree.transmission,
         )
         return _cloud(cards, clusters, origins, density, size, settings.padding, material)
 
