@@ -245,19 +245,26 @@ def test_only_what_depends_on_a_setting_runs_again(
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--trunk-triangles", 100)
     sliced = ["slicing_twigs", "slicing_trunk", "slicings"]
     # twigs ran, with the same outcome
-    assert skipped(again) == [
-        "split",
-        "translucency",
-        "cluster",
-        "indirect_cluster",
-        "views",
-        "indirect",
-        *sliced,
-        "billboards",
-    ]
+    same = ["cluster", "indirect_cluster", "views", "indirect", *sliced, "billboards"]
+    assert skipped(again) == ["split", "translucency", *same]
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--set", "indirect_cluster.billboards=3")
     # the trunk's budget, too, is another again
     assert skipped(again) == ["split", "translucency", "cluster", "views", *sliced, "billboards"]
+
+
+def test_light_goes_through_leaves_unless_it_is_told_not_to(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    little = (*TEXTURES, "--set", "indirect.enabled=false")
+    found = []
+    for flag in ((), ("--no-translucency",)):
+        assert treebake("bake", tree, "-o", tmp_path, *little, *flag).code == 0
+        manifest = json.loads((tmp_path / tree.stem / "manifest.json").read_text())
+        used = GltfFile(tmp_path / tree.stem / manifest["file"]).json.get("extensionsUsed", [])
+        found.append((manifest["translucency"], "KHR_materials_diffuse_transmission" in used))
+    (lit, known), off = found
+    assert (lit["origin"], known) == ("broad leaf", True)
+    assert off == (None, False)
 
 
 def test_slicings_and_views_run_again_by_their_own_settings(
@@ -265,30 +272,11 @@ def test_slicings_and_views_run_again_by_their_own_settings(
 ) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     trunk = ("--set", "slicing_trunk.triangles=100")  # the budget of both their twigs and their trunk
-    rest = [
-        "split",
-        "translucency",
-        "twigs",
-        "cluster",
-        "indirect_cluster",
-        "views",
-        "indirect",
-        "slicings",
-        "billboards",
-        "trunk",
-    ]
+    first = ["split", "translucency", "twigs", "cluster", "indirect_cluster"]
+    rest = [*first, "views", "indirect", "slicings", "billboards", "trunk"]
     assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk)) == rest
     fewer = ("--set", "slicings.slices=2", "--set", "views.side=2")
-    rest = [
-        "split",
-        "translucency",
-        "twigs",
-        "cluster",
-        "indirect_cluster",
-        "indirect",
-        "slicing_twigs",
-        "slicing_trunk",
-    ]
+    rest = [*first, "indirect", "slicing_twigs", "slicing_trunk"]
     assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk, *fewer)) == [*rest, "billboards", "trunk"]
 
 
@@ -385,11 +373,7 @@ def test_interrupt_is_one_line_and_the_next_run_goes_on(
     assert stopped.lines[-1].startswith("treebake: interrupted")
     resumed = treebake("cluster", tree, "-o", tmp_path / "work")
     assert resumed.code == 0
-    assert [line.split()[0] for line in resumed.lines if line.endswith("up to date")] == [
-        "split",
-        "translucency",
-        "twigs",
-    ]
+    assert skipped(resumed) == ["split", "translucency", "twigs"]
 
 
 def test_a_real_ctrl_c_leaves_no_half_written_file(tmp_path: Path) -> None:
