@@ -232,7 +232,7 @@ def skipped(result: Outcome) -> list[str]:
 def test_second_bake_skips_the_stages_and_says_so(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     again = treebake("bake", tree, "-o", tmp_path, *COARSE)
-    foliage = ["split", "translucency", "twigs", "cluster", "indirect_cluster", "views", "indirect"]
+    foliage = ["split", "translucency", "normals", "twigs", "cluster", "indirect_cluster", "views", "indirect"]
     assert skipped(again) == [*foliage, "slicing_twigs", "slicing_trunk", "slicings", "billboards", "trunk"]
     forced = treebake("bake", tree, "-o", tmp_path, *COARSE, "--force")
     assert "up to date" not in forced.err
@@ -246,10 +246,10 @@ def test_only_what_depends_on_a_setting_runs_again(
     sliced = ["slicing_twigs", "slicing_trunk", "slicings"]
     # twigs ran, with the same outcome
     same = ["cluster", "indirect_cluster", "views", "indirect", *sliced, "billboards"]
-    assert skipped(again) == ["split", "translucency", *same]
+    assert skipped(again) == ["split", "translucency", "normals", *same]
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--set", "indirect_cluster.billboards=3")
     # the trunk's budget, too, is another again
-    assert skipped(again) == ["split", "translucency", "cluster", "views", *sliced, "billboards"]
+    assert skipped(again) == ["split", "translucency", "normals", "cluster", "views", *sliced, "billboards"]
 
 
 def test_light_goes_through_leaves_unless_it_is_told_not_to(
@@ -267,12 +267,24 @@ def test_light_goes_through_leaves_unless_it_is_told_not_to(
     assert off == (None, False)
 
 
+def test_turned_normals_are_not_in_images_that_leaves_share(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    found = []
+    for crown in (0, 1):
+        assert treebake("bake", tree, "-o", tmp_path, *TEXTURES, "--set", f"normals.crown={crown}").code == 0
+        images = tmp_path / tree.stem / "textures"
+        names = ("leaf_normal", "far_normal", "foliage_normal")
+        found.append([(images / f"{tree.stem}_{name}.png").read_bytes() for name in names])
+    assert [one == other for one, other in zip(*found, strict=True)] == [True, True, False]
+
+
 def test_slicings_and_views_run_again_by_their_own_settings(
     tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
 ) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     trunk = ("--set", "slicing_trunk.triangles=100")  # the budget of both their twigs and their trunk
-    first = ["split", "translucency", "twigs", "cluster", "indirect_cluster"]
+    first = ["split", "translucency", "normals", "twigs", "cluster", "indirect_cluster"]
     rest = [*first, "views", "indirect", "slicings", "billboards", "trunk"]
     assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk)) == rest
     fewer = ("--set", "slicings.slices=2", "--set", "views.side=2")
@@ -373,7 +385,7 @@ def test_interrupt_is_one_line_and_the_next_run_goes_on(
     assert stopped.lines[-1].startswith("treebake: interrupted")
     resumed = treebake("cluster", tree, "-o", tmp_path / "work")
     assert resumed.code == 0
-    assert skipped(resumed) == ["split", "translucency", "twigs"]
+    assert skipped(resumed) == ["split", "translucency", "normals", "twigs"]
 
 
 def test_a_real_ctrl_c_leaves_no_half_written_file(tmp_path: Path) -> None:
@@ -387,8 +399,8 @@ def test_a_real_ctrl_c_leaves_no_half_written_file(tmp_path: Path) -> None:
     assert process.returncode == 130, rest
     assert "Traceback" not in rest
     written = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
-    stages = {"split", "translucency", "twigs", "cluster", "indirect_cluster", "billboards", "indirect", "trunk"}
-    stages |= {"slicing_twigs", "slicing_trunk", "slicings", "views"}
+    stages = {"split", "translucency", "normals", "twigs", "cluster", "indirect_cluster", "billboards", "indirect"}
+    stages |= {"trunk", "slicing_twigs", "slicing_trunk", "slicings", "views"}
     assert written <= {"source.npz"} | {f"{stage}.npz" for stage in stages}
 
 

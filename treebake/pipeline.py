@@ -1,6 +1,7 @@
 """The order of the stages, on one screen.
 
-    load -> split -> translucency -> twigs -> cluster twice `cluster_tree`: a mesh file into the work folder
+    load -> split -> translucency -> normals
+            -> twigs -> cluster, twice                      `cluster_tree`: a mesh file into the work folder
             -> views, indirect, slicings, billboards, trunk
             -> hierarchy -> a cloud and a trunk for each level (`levels.py`)
             -> ladder, or smallest -> write_asset           `bake_textures`: the work folder into the published one
@@ -57,6 +58,7 @@ from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
 from treebake.stages.hierarchy import hierarchy
 from treebake.stages.indirect import indirect
+from treebake.stages.normals import normals
 from treebake.stages.scatter import scatter
 from treebake.stages.slicings import slicings
 from treebake.stages.split import split
@@ -94,7 +96,7 @@ LOG = logging.getLogger("treebake")
 
 T = TypeVar("T", Rung, LeftOut)
 
-_PARTS = "translucency"  # the name of the last result before the twigs move
+_PLAIN, _PARTS = "translucency", "normals"  # the names of the results before normals turn, and before twigs move
 _INDIRECT_CLUSTER = "indirect_cluster"  # the name of the second clustering's result
 
 
@@ -137,6 +139,7 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
         mesh = replace(read_mesh(path, settings.load), morph=None)  # a level may be a source too
     parts = work.run(split, settings.split, Result.of(mesh))
     parts = work.run(translucency, settings.translucency, parts)
+    parts = work.run(normals, settings.normals, parts)
     tree = work.run(twigs, settings.twigs, parts)
     clusters = indirect_clusters = None
     if tree.value.leaves.count:
@@ -218,7 +221,10 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
         leaves = tree.part("leaves")
         if settings.indirect.enabled:  # before the atlas, the slowest: they may find that something does not fit
             thick_planes = work.read(_INDIRECT_CLUSTER, command, leaves)
-            layers = work.run(indirect, settings.indirect, tree, thick_planes).value
+            plain, own = work.read(_PLAIN, command), tree
+            if plain.digest != parts.digest:  # a leaf's image is shared by leaves whose normals turn otherwise
+                own = work.run(twigs, settings.twigs, plain, name="indirect_twigs")
+            layers = work.run(indirect, settings.indirect, own, thick_planes).value
         if settings.slicings.enabled:
             sparse = work.run(twigs, settings.slicing_twigs, parts, name="slicing_twigs")
             thick = work.run(trunk, settings.slicing_trunk, sparse.part("trunk"), name="slicing_trunk").value

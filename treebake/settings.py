@@ -25,6 +25,7 @@ from treebake.stages.billboards import BillboardSettings
 from treebake.stages.cluster import ClusterSettings
 from treebake.stages.hierarchy import HierarchySettings
 from treebake.stages.indirect import IndirectSettings
+from treebake.stages.normals import NormalSettings
 from treebake.stages.scatter import ForestSettings
 from treebake.stages.slicings import SlicingSettings
 from treebake.stages.split import SplitSettings
@@ -58,6 +59,7 @@ class Settings:
     load: LoadSettings = field(default_factory=LoadSettings)
     split: SplitSettings = field(default_factory=SplitSettings)
     translucency: TranslucencySettings = field(default_factory=TranslucencySettings)
+    normals: NormalSettings = field(default_factory=NormalSettings)
     twigs: TwigSettings = field(default_factory=TwigSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
     hierarchy: HierarchySettings = field(default_factory=HierarchySettings)
