@@ -39,6 +39,7 @@ from treebake.model import (
     SlicedFoliage,
     Slicings,
     Texture,
+    Transmission,
     Views,
 )
 from treebake.stages.views.directions import hemi_octahedron, ring
@@ -88,6 +89,7 @@ def foliage() -> SlicedFoliage:
         exposure=1.1,
         atlas=atlas("slices"),
         untrimmed=100,
+        transmission=Transmission(0.5, (0.75, 1.0, 0.5)),
     )
     return SlicedFoliage(slicings, quad(BARK, x=(-0.1, 0.1)), standard("slices"))
 
@@ -110,6 +112,7 @@ def impostor(layout: str = "ring", side: int = 4, seed: int = 3, shared: bool = 
         brightness=0.6,
         exposure=1.1,
         atlas=one_atlas() if shared else atlas("views", seed),
+        transmission=None if layout == "ring" else Transmission(0.5, (0.75, 2.0, 0.5)),
     )
     return Impostor(views, standard("views"))
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from foliage import GREEN, PAINTED, leaf_tree, planes, random_leaves, rotation
 from stems import empty
+from synthetic import SUN_DIRECTION
 
 from treebake.errors import BudgetError, SettingsError
 from treebake.flatten import plane_frames
@@ -15,10 +16,11 @@ from treebake.gl.draw import Drawing
 from treebake.gl.target import Picture
 from treebake.gl.view import View
 from treebake.images import to_linear
-from treebake.model import AlphaMode, BillboardCloud, Clusters, Doubles, Material, Mesh, Texture, Tree
+from treebake.model import AlphaMode, BillboardCloud, Clusters, Doubles, Material, Mesh, Texture, Transmission, Tree
 from treebake.stages.billboards import BillboardSettings, billboards, silhouette
 from treebake.stages.billboards.silhouette import covered_area
 from treebake.stages.cluster import ClusterSettings, cluster
+from treebake.stages.translucency import TranslucencySettings, translucency
 
 FINE, COARSE = BillboardSettings(leaf_texels=64), BillboardSettings(leaf_texels=12)
 PIXELS = 128
@@ -98,6 +100,19 @@ def test_light_falls_as_on_the_source(shading: tuple[float, float, float]) -> No
     cloud = billboards(tree, own_planes(tree), FINE)
     for side in (1, -1):
         assert_alike(cloud, tree, facing((0, 0, side), (0, 0, 1), 0.15))
+
+
+@pytest.mark.parametrize("through", [None, Transmission(0.6, (0.8, 1.0, 0.3))], ids=["opaque", "translucent"])
+@pytest.mark.parametrize("material", [GREEN, PAINTED], ids=["green", "painted"])
+def test_a_card_lit_from_behind_looks_as_its_leaf_does(material: Material, through: Transmission | None) -> None:
+    # The front is in the full sun, its normal leans away from it, and it is the back that is looked at.
+    shading = SUN_DIRECTION + np.array([0.3, -0.2, 0.0])
+    leaf = replace(material, transmission=through)
+    tree = leaf_tree([(1.0, 2.0, 3.0)], SUN_DIRECTION, material=leaf, shading=shading / np.linalg.norm(shading))
+    tree = translucency(tree, TranslucencySettings(enabled=through is not None))
+    cloud = billboards(tree, own_planes(tree), FINE)
+    assert (cloud.mesh.materials[0].transmission is None) == (through is None)
+    assert_alike(cloud, tree, facing(-SUN_DIRECTION, (1, 2, 3), 0.15))
 
 
 @pytest.mark.parametrize("side", [1, -1], ids=["front", "back"])

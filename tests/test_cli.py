@@ -232,7 +232,7 @@ def skipped(result: Outcome) -> list[str]:
 def test_second_bake_skips_the_stages_and_says_so(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     again = treebake("bake", tree, "-o", tmp_path, *COARSE)
-    foliage = ["split", "twigs", "cluster", "indirect_cluster", "views", "indirect"]
+    foliage = ["split", "translucency", "normals", "twigs", "cluster", "indirect_cluster", "views", "indirect"]
     assert skipped(again) == [*foliage, "slicing_twigs", "slicing_trunk", "slicings", "billboards", "trunk"]
     forced = treebake("bake", tree, "-o", tmp_path, *COARSE, "--force")
     assert "up to date" not in forced.err
@@ -245,10 +245,38 @@ def test_only_what_depends_on_a_setting_runs_again(
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--trunk-triangles", 100)
     sliced = ["slicing_twigs", "slicing_trunk", "slicings"]
     # twigs ran, with the same outcome
-    assert skipped(again) == ["split", "cluster", "indirect_cluster", "views", "indirect", *sliced, "billboards"]
+    same = ["cluster", "indirect_cluster", "views", "indirect", *sliced, "billboards"]
+    assert skipped(again) == ["split", "translucency", "normals", *same]
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--set", "indirect_cluster.billboards=3")
     # the trunk's budget, too, is another again
-    assert skipped(again) == ["split", "cluster", "views", *sliced, "billboards"]
+    assert skipped(again) == ["split", "translucency", "normals", "cluster", "views", *sliced, "billboards"]
+
+
+def test_light_goes_through_leaves_unless_it_is_told_not_to(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    little = (*TEXTURES, "--set", "indirect.enabled=false")
+    found = []
+    for flag in ((), ("--no-translucency",)):
+        assert treebake("bake", tree, "-o", tmp_path, *little, *flag).code == 0
+        manifest = json.loads((tmp_path / tree.stem / "manifest.json").read_text())
+        used = GltfFile(tmp_path / tree.stem / manifest["file"]).json.get("extensionsUsed", [])
+        found.append((manifest["translucency"], "KHR_materials_diffuse_transmission" in used))
+    (lit, known), off = found
+    assert (lit["origin"], known) == ("broad leaf", True)
+    assert off == (None, False)
+
+
+def test_turned_normals_are_not_in_images_that_leaves_share(
+    tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]
+) -> None:
+    found = []
+    for crown in (0, 1):
+        assert treebake("bake", tree, "-o", tmp_path, *TEXTURES, "--set", f"normals.crown={crown}").code == 0
+        images = tmp_path / tree.stem / "textures"
+        names = ("leaf_normal", "far_normal", "foliage_normal")
+        found.append([(images / f"{tree.stem}_{name}.png").read_bytes() for name in names])
+    assert [one == other for one, other in zip(*found, strict=True)] == [True, True, False]
 
 
 def test_slicings_and_views_run_again_by_their_own_settings(
@@ -256,10 +284,11 @@ def test_slicings_and_views_run_again_by_their_own_settings(
 ) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     trunk = ("--set", "slicing_trunk.triangles=100")  # the budget of both their twigs and their trunk
-    rest = ["split", "twigs", "cluster", "indirect_cluster", "views", "indirect", "slicings", "billboards", "trunk"]
+    first = ["split", "translucency", "normals", "twigs", "cluster", "indirect_cluster"]
+    rest = [*first, "views", "indirect", "slicings", "billboards", "trunk"]
     assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk)) == rest
     fewer = ("--set", "slicings.slices=2", "--set", "views.side=2")
-    rest = ["split", "twigs", "cluster", "indirect_cluster", "indirect", "slicing_twigs", "slicing_trunk"]
+    rest = [*first, "indirect", "slicing_twigs", "slicing_trunk"]
     assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk, *fewer)) == [*rest, "billboards", "trunk"]
 
 
@@ -356,7 +385,7 @@ def test_interrupt_is_one_line_and_the_next_run_goes_on(
     assert stopped.lines[-1].startswith("treebake: interrupted")
     resumed = treebake("cluster", tree, "-o", tmp_path / "work")
     assert resumed.code == 0
-    assert [line.split()[0] for line in resumed.lines if line.endswith("up to date")] == ["split", "twigs"]
+    assert skipped(resumed) == ["split", "translucency", "normals", "twigs"]
 
 
 def test_a_real_ctrl_c_leaves_no_half_written_file(tmp_path: Path) -> None:
@@ -370,8 +399,8 @@ def test_a_real_ctrl_c_leaves_no_half_written_file(tmp_path: Path) -> None:
     assert process.returncode == 130, rest
     assert "Traceback" not in rest
     written = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
-    stages = {"split", "twigs", "cluster", "indirect_cluster", "billboards", "indirect", "trunk"}
-    stages |= {"slicing_twigs", "slicing_trunk", "slicings", "views"}
+    stages = {"split", "translucency", "normals", "twigs", "cluster", "indirect_cluster", "billboards", "indirect"}
+    stages |= {"trunk", "slicing_twigs", "slicing_trunk", "slicings", "views"}
     assert written <= {"source.npz"} | {f"{stage}.npz" for stage in stages}
 
 

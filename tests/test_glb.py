@@ -1,10 +1,12 @@
 import json
 import struct
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from gltf_validate import assert_valid
+from hypothesis import given
+from hypothesis import strategies as st
 
 from treebake import __version__
 from treebake.errors import WorkspaceError
@@ -12,7 +14,7 @@ from treebake.formats.gltf_file import GltfFile
 from treebake.glb import Instances, Node, encode_glb, write_glb
 from treebake.images import decode_image
 from treebake.meshes import read_mesh
-from treebake.model import AlphaMode, Material, Mesh, Texture
+from treebake.model import AlphaMode, Material, Mesh, Texture, Transmission
 
 FORMATS = {5123: np.dtype("<u2"), 5125: np.dtype("<u4"), 5126: np.dtype("<f4")}
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
@@ -74,7 +76,23 @@ def quads(*materials):
     )
 
 
-LEAF = Material("leaf", (1, 0.5, 1, 1), texture("leaf", alpha=0), texture("bumps"), AlphaMode.MASK, 0.3, True)
+LEAF = Material(
+    "leaf",
+    (1, 0.5, 1, 1),
+    texture("leaf", alpha=0),
+    texture("bumps"),
+    alpha_mode=AlphaMode.MASK,
+    alpha_cutoff=0.3,
+    double_sided=True,
+)
+FULL = replace(
+    LEAF,
+    occlusion_map=texture("occlusion"),
+    roughness_map=texture("roughness"),
+    roughness=0.75,
+    metallic=0.25,
+    transmission=Transmission(0.5, (0.25, 1.0, 0.125)),
+)
 
 
 def test_every_primitive_keeps_its_own_geometry():
@@ -136,6 +154,90 @@ def test_material_fields_follow_the_specification():
     assert plain == {"name": "plain", "pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}}
     assert document["samplers"] == [{"magFilter": 9729, "minFilter": 9987, "wrapS": 10497, "wrapT": 10497}]
     assert document["asset"] == {"version": "2.0", "generator": f"treebake {__version__}"}
+
+
+def test_light_that_comes_through_takes_its_colour_from_the_colour_map_itself():
+    document, _ = parse(encode_glb([("leaf", quads(FULL))]))
+    (leaf,) = document["materials"]
+    assert document["extensionsUsed"] == ["KHR_materials_diffuse_transmission"]
+    assert "extensionsRequired" not in document
+    assert leaf["extensions"]["KHR_materials_diffuse_transmission"] == {
+        "diffuseTransmissionFactor": 0.5,
+        "diffuseTransmissionColorTexture": leaf["pbrMetallicRoughness"]["baseColorTexture"],
+        "diffuseTransmissionColorFactor": [0.25, 1.0, 0.125],
+    }
+    assert len(document["images"]) == 4
+
+
+def test_occlusion_has_texture_coordinates_of_its_own_only_where_the_mesh_has_them():
+    near = quads(FULL, Material("bark"))
+    far = replace(near, occlusion_uvs=near.uvs * 0.5)
+    document, binary = parse(encode_glb([("near", near), ("far", far)]))
+    sets = [[p["attributes"].get(f"TEXCOORD_{i}") for i in (0, 1)] for m in document["meshes"] for p in m["primitives"]]
+    assert [[each is not None for each in pair] for pair in sets] == [
+        [True, False],
+        [False, False],
+        [True, True],
+        [False, False],
+    ]
+    np.testing.assert_array_equal(array(document, binary, sets[2][1]), far.occlusion_uvs[:4])
+    infos = [document["materials"][m["primitives"][0]["material"]]["occlusionTexture"] for m in document["meshes"]]
+    assert infos == [{"index": infos[0]["index"]}, {"index": infos[0]["index"], "texCoord": 1}]
+
+
+def assert_same_material(found, written):
+    for field in fields(Material):
+        one, other = getattr(found, field.name), getattr(written, field.name)
+        if isinstance(other, Texture):
+            assert one.name == other.name
+            np.testing.assert_array_equal(one.pixels, other.pixels)
+        elif isinstance(other, Transmission):
+            assert one.factor == other.factor
+            np.testing.assert_allclose(one.color, other.color, rtol=1e-6)
+        else:
+            assert one == other, field.name
+
+
+PARTS = st.floats(0, 1, allow_subnormal=False)
+
+
+@st.composite
+def materials(draw):
+    maps = {name: texture(name) for name in ("normal_map", "occlusion_map", "roughness_map") if draw(st.booleans())}
+    mode = draw(st.sampled_from(AlphaMode))
+    color = texture("leaf", alpha=255 if mode is AlphaMode.OPAQUE else 0) if draw(st.booleans()) else None
+    through = st.builds(Transmission, PARTS, st.tuples(PARTS, PARTS, PARTS))
+    return Material(
+        "drawn",
+        draw(st.tuples(PARTS, PARTS, PARTS, PARTS)),
+        color,
+        **maps,
+        roughness=draw(PARTS),
+        metallic=draw(PARTS),
+        transmission=draw(st.none() | through),
+        alpha_mode=mode,
+        alpha_cutoff=draw(PARTS) if mode is AlphaMode.MASK else 0.5,
+        double_sided=draw(st.booleans()),
+    )
+
+
+@given(material=materials(), own=st.booleans())
+def test_a_written_material_is_read_back(tmp_path_factory, material, own):
+    path = tmp_path_factory.getbasetemp() / "material.glb"
+    mesh = quads(material)
+    written = replace(mesh, occlusion_uvs=mesh.uvs[:, ::-1] if own else None)
+    write_glb(path, [("quad", written)])
+    found = read_mesh(path)
+    assert_same_material(*found.materials, material)
+    assert (found.occlusion_uvs is not None) == (own and material.occlusion_map is not None)
+    if found.occlusion_uvs is not None:
+        np.testing.assert_array_equal(found.occlusion_uvs[found.faces], written.occlusion_uvs[written.faces])
+
+
+def test_light_brighter_than_the_colour_map_comes_through_in_the_mean(tmp_path):
+    bright = replace(FULL, transmission=Transmission(0.5, (1.5, 2.0, 0.5)))
+    write_glb(tmp_path / "bright.glb", [("leaf", quads(bright))])
+    assert_same_material(*read_mesh(tmp_path / "bright.glb").materials, bright)
 
 
 def test_textures_are_shared_and_keep_alpha_only_where_it_is_read():
@@ -319,6 +421,9 @@ def test_same_input_gives_the_same_bytes():
 
 def test_validator_finds_nothing(tmp_path):
     write_glb(tmp_path / "full.glb", [("tree", quads(LEAF, Material("bark")))], {"treebake": {"name": "Ä"}})
+    bare = replace(FULL, color_map=None, normal_map=None, roughness_map=None)
+    lit = quads(FULL, bare, replace(FULL, transmission=Transmission(1.0, (3.0, 1.0, 1.0))))
+    write_glb(tmp_path / "lit.glb", [("one", lit), ("other", replace(lit, occlusion_uvs=lit.uvs * 0.5))])
     write_glb(tmp_path / "empty.glb", [])
     # Of any width: a row of three bytes is an odd accessor, but nothing draws it.
     kinds = (np.uint8, np.uint16, np.uint32, np.float32)
@@ -328,7 +433,7 @@ def test_validator_finds_nothing(tmp_path):
     write_glb(tmp_path / "alone.glb", [], extras)
     levels = quads(LEAF), (quads(LEAF), quads()), (0.5, 0.25, 0)
     write_glb(tmp_path / "levels.glb", [Node("one", *levels), Node("many", *levels, placed(3))])
-    assert_valid(*(tmp_path / f"{name}.glb" for name in ("full", "empty", "tables", "alone", "levels")))
+    assert_valid(*(tmp_path / f"{name}.glb" for name in ("full", "lit", "empty", "tables", "alone", "levels")))
 
 
 def test_writing_replaces_whole_or_not_at_all(tmp_path):

@@ -247,6 +247,119 @@ def test_a_normal_map_with_uvs_of_its_own_is_dropped_with_a_warning(tmp_path, ca
     assert "normal map" in caplog.text
 
 
+def test_occlusion_and_normals_are_read_as_strong_as_they_are(tmp_path):
+    normal = np.full((2, 2, 4), (255, 128, 128, 255), np.uint8)  # almost flat along +X
+    gltf = Gltf()
+    infos = {
+        "occlusionTexture": {"index": gltf.image(RED // 2), "strength": 0.5},
+        "normalTexture": {"index": gltf.image(normal), "scale": 0.0},
+    }
+    gltf.json["materials"] = [infos]
+    (material,) = gltf.mesh(material=0, TEXCOORD_0=UVS).read(tmp_path).materials
+    assert material.occlusion_map.pixels[0, 0, 0] == round(255 * (1 + 0.5 * (127 / 255 - 1)))
+    np.testing.assert_array_equal(material.normal_map.pixels[0, 0], [128, 128, 255, 255])
+
+
+def test_an_occlusion_map_keeps_its_own_place(tmp_path):
+    transform = {"KHR_texture_transform": {"scale": [0.5, 0.25]}}
+    gltf = Gltf()
+    base = {"baseColorTexture": {"index": gltf.image(RED)}}
+    gltf.json["materials"] = [
+        {"pbrMetallicRoughness": base, "occlusionTexture": {"index": 0, "texCoord": 1, "extensions": transform}},
+        {"pbrMetallicRoughness": base, "occlusionTexture": {"index": 0}},
+        {"pbrMetallicRoughness": base, "occlusionTexture": {"index": 0, "texCoord": 1}},
+    ]
+    gltf.mesh(material=0, TEXCOORD_0=UVS, TEXCOORD_1=UVS + 1).mesh(TRIANGLE + 1, material=1, TEXCOORD_0=UVS)
+    gltf.mesh(TRIANGLE + 2, material=2, TEXCOORD_0=UVS)  # its second set is missing
+    gltf.json["nodes"] = [{"mesh": i} for i in range(3)]
+    mesh = gltf.read(tmp_path)
+    own = mesh.occlusion_uvs[mesh.faces[np.argsort(mesh.face_node)]]
+    np.testing.assert_allclose(own, [(UVS + 1) * (0.5, 0.25), UVS, UVS])
+    np.testing.assert_allclose(mesh.uvs[mesh.faces], [UVS] * 3)
+    alone = Gltf(materials=gltf.json["materials"][1:2])
+    alone.image(RED)
+    assert alone.mesh(material=0, TEXCOORD_0=UVS).read(tmp_path).occlusion_uvs is None
+
+
+def test_metal_and_roughness_are_read_by_the_colours_uvs_only(tmp_path, caplog):
+    gltf = Gltf()
+    color, rough = gltf.image(RED), gltf.image(HOLED)
+    pbr = {"baseColorTexture": {"index": color}, "metallicRoughnessTexture": {"index": rough}}
+    gltf.json["materials"] = [{"pbrMetallicRoughness": {**pbr, "roughnessFactor": 0.5}}]
+    (material,) = gltf.mesh(material=0, TEXCOORD_0=UVS).read(tmp_path).materials
+    assert (material.roughness, material.metallic) == (0.5, 1.0)  # glTF's own default is metal
+    np.testing.assert_array_equal(material.roughness_map.pixels, HOLED)
+    pbr["metallicRoughnessTexture"]["texCoord"] = 1
+    gltf.json["materials"] = [{"pbrMetallicRoughness": pbr}]
+    assert gltf.read(tmp_path).materials[0].roughness_map is None
+    assert "roughness map" in caplog.text
+
+
+TRANSMISSION = "KHR_materials_diffuse_transmission"
+
+
+def transmission(folder, base, **through):
+    """What is read of a material whose texture 0 is leaf green with a hole, and texture 1 half red and half clear."""
+    gltf = Gltf()
+    green, clear = (0, 188, 0), (188, 0, 0)  # linear 0.5
+    gltf.image(np.array([[(*green, 255), (255, 255, 255, 0)]], np.uint8))
+    gltf.image(np.array([[(*clear, 51), (0, 0, 0, 255)]], np.uint8))
+    look = {"pbrMetallicRoughness": base, "alphaMode": "MASK", "extensions": {TRANSMISSION: through}}
+    gltf.json["materials"] = [look]
+    return gltf.mesh(material=0, TEXCOORD_0=UVS).read(folder).materials[0].transmission
+
+
+@pytest.mark.parametrize(
+    ("base", "through", "factor", "color"),
+    [
+        ({}, {}, 0.0, (1, 1, 1)),
+        (
+            {},
+            {"diffuseTransmissionFactor": 0.5, "diffuseTransmissionColorFactor": [0.1, 0.2, 0.3]},
+            0.5,
+            (0.1, 0.2, 0.3),
+        ),
+        (
+            {"baseColorTexture": {"index": 0}, "baseColorFactor": [0.1, 0.1, 0.1, 1]},
+            {"diffuseTransmissionColorTexture": {"index": 0}, "diffuseTransmissionColorFactor": [0.5, 0.5, 0.5]},
+            0.0,
+            (0.5, 0.5, 0.5),
+        ),
+        (  # the mean of what comes through is the source's: 0.25 green
+            {"baseColorTexture": {"index": 0}},
+            {"diffuseTransmissionColorFactor": [0.0, 0.25, 0.0]},
+            0.0,
+            (0, 0.5, 0),
+        ),
+        (  # where the leaf is opaque alone: 0.25 red of a map without red
+            {"baseColorTexture": {"index": 0}},
+            {"diffuseTransmissionColorTexture": {"index": 1}, "diffuseTransmissionColorFactor": [0.0005, 1, 1]},
+            0.0,
+            (0.25, 0, 0),
+        ),
+        (
+            {"baseColorTexture": {"index": 0}},
+            {
+                "diffuseTransmissionFactor": 0.5,
+                "diffuseTransmissionTexture": {"index": 1},
+                "diffuseTransmissionColorTexture": {"index": 0},
+            },
+            0.1,
+            (1, 1, 1),
+        ),
+    ],
+    ids=["nothing", "plain", "its own map", "a factor", "another map", "a part of it"],
+)
+def test_diffuse_transmission_is_read_as_a_factor_on_the_colour_map(tmp_path, base, through, factor, color):
+    found = transmission(tmp_path, base, **through)
+    assert found.factor == pytest.approx(factor, abs=1e-6)
+    np.testing.assert_allclose(found.color, color, rtol=0.01, atol=1e-9)
+
+
+def test_a_material_that_says_nothing_of_transmission_has_none(tmp_path):
+    assert Gltf(materials=[{}]).mesh(material=0).read(tmp_path).materials[0].transmission is None
+
+
 def test_specular_glossiness_colours_are_read(tmp_path):
     glossy = {"KHR_materials_pbrSpecularGlossiness": {"diffuseFactor": [0.1, 0.2, 0.3, 1]}}
     gltf = Gltf(materials=[{"extensions": glossy}], extensionsRequired=list(glossy))

@@ -27,23 +27,26 @@ Command = Callable[..., None]
 class SettingOption(click.Option):
     """A flag for one setting, whose help and default are those of its settings dataclass."""
 
-    def __init__(self, flag: str, key: str) -> None:
-        super().__init__([key.replace(".", "__"), flag], metavar="VALUE")
-        self.key = key
+    def __init__(self, flag: str, key: str, value: str | None = None) -> None:
+        """value: what a flag without a value of its own sets."""
+        plain: dict[str, Any] = {"metavar": "VALUE"} if value is None else {"is_flag": True, "flag_value": value}
+        super().__init__([key.replace(".", "__"), flag], default=None, **plain)
+        self.key, self.value = key, value
 
     def get_help_record(self, ctx: click.Context) -> tuple[str, str] | None:
         """Read the dataclass only when this command's help is asked for."""
         from treebake.settings import keys
 
         setting = keys()[self.key]
-        self.help = f"{setting.help}  [{self.key}, default: {setting.default}]"
+        sets = f"Set to {self.value}: " if self.value else ""
+        self.help = f"{sets}{setting.help}  [{self.key}, default: {setting.default}]"
         return super().get_help_record(ctx)
 
 
-def _setting(flag: str, key: str) -> Callable[[Command], Command]:
+def _setting(flag: str, key: str, value: str | None = None) -> Callable[[Command], Command]:
     def decorate(command: Command) -> Command:
         params: list[click.Parameter] = command.__dict__.setdefault("__click_params__", [])
-        params.append(SettingOption(flag, key))
+        params.append(SettingOption(flag, key, value))
         return command
 
     return decorate
@@ -112,6 +115,7 @@ _work = click.option("-o", "work", required=True, type=_FILE, metavar="WORK", he
 _force = click.option("--force", is_flag=True, help="Run every stage again, even where nothing has changed.")
 _up = _setting("--up", "load.up")
 _billboards = _setting("--billboards", "cluster.billboards")
+_no_translucency = _setting("--no-translucency", "translucency.enabled", "false")
 _atlas = _setting("--atlas", "textures.atlas")
 _trunk = _setting("--trunk-triangles", "trunk.triangles")
 
@@ -156,6 +160,7 @@ def grow(terminal: Terminal, species: str, output: Path | None, seed: int, leave
 @click.argument("tree", type=_FILE)
 @_work
 @_billboards
+@_no_translucency
 @_up
 @_force
 @_configured
@@ -218,6 +223,7 @@ def textures(
 @_setting("--height", "budget.height")
 @_setting("--triangles", "budget.triangles")
 @_setting("--bytes", "budget.bytes")
+@_no_translucency
 @_up
 @_force
 @_configured

@@ -8,18 +8,24 @@ from treebake.coverage import preserve_coverage
 from treebake.errors import BudgetError
 from treebake.gl.photo import Photo, Shot
 from treebake.images import color_texels, normal_texels, occlusion_map
-from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Mesh, Texture
+from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Mesh, Texture, Transmission
 from treebake.pictures import MOST_ATLAS, STEEPEST, covered, pack_pictures, trimmed
 
 _CUTOFF = 0.5
 _GUTTER = 2
 
 
-def crossed_cards(shots: Sequence[Shot], photos: Sequence[Photo], depths: Doubles, name: str) -> Mesh:
+def crossed_cards(
+    shots: Sequence[Shot],
+    photos: Sequence[Photo],
+    depths: Doubles,
+    name: str,
+    transmission: Transmission | None = None,
+) -> Mesh:
     """A card per photo that shows anything, in one alpha-masked material with colour, normals and occlusion. O(texels).
 
     depths: (S,) float64, where each card lies along its shot's way to the viewer. The atlas's alpha is shaped, so that
-    a viewer's own mipmaps keep the coverage. Cards have two sides.
+    a viewer's own mipmaps keep the coverage. Cards have two sides, and light goes through all of them alike.
     """
     crops = np.array([trimmed(covered(photo)) for photo in photos], np.int32).reshape(-1, 4)
     shown = np.flatnonzero(crops[:, 2] > crops[:, 0]).tolist()
@@ -50,6 +56,7 @@ def crossed_cards(shots: Sequence[Shot], photos: Sequence[Photo], depths: Double
         alpha_mode=AlphaMode.MASK,
         alpha_cutoff=_CUTOFF,
         double_sided=True,
+        transmission=transmission,
     )
     texel = np.array([(shots[i].high - shots[i].low)[0] / shots[i].size[0] for i in shown]).reshape(-1, 1)
     corner = np.array([[shots[i].low[0], shots[i].high[1]] for i in shown]).reshape(-1, 2)

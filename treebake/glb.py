@@ -12,8 +12,8 @@ import numpy as np
 from treebake import __version__
 from treebake.files import atomic
 from treebake.geometry import reject
-from treebake.images import encode_texture
-from treebake.model import AlphaMode, Floats, Ints, Material, Mesh, Morph, Texture
+from treebake.images import encode_texture, mean_texel
+from treebake.model import AlphaMode, Floats, Ints, Material, Mesh, Morph, Texture, Transmission
 
 _VERTICES, _INDICES = 34962, 34963  # bufferView targets
 _UINT16, _UINT32, _FLOAT = 5123, 5125, 5126  # component types
@@ -23,6 +23,7 @@ _UINT16_VERTICES = 65535  # index 65535 itself is reserved for primitive restart
 _LOD, _INSTANCING = "MSFT_lod", "EXT_mesh_gpu_instancing"
 
 MORPH = "parent"  # the name of a mesh's morph target
+TRANSMISSION = "KHR_materials_diffuse_transmission"
 
 Json = dict[str, Any]
 
@@ -88,7 +89,7 @@ class _Writer:
     roots: list[int] = field(default_factory=list)  # the scene's nodes
     used: set[str] = field(default_factory=set)  # extensions
     meshes: dict[int, int] = field(default_factory=dict)  # id(mesh) -> index
-    materials: dict[int, int] = field(default_factory=dict)  # id(material) -> index
+    materials: dict[tuple[int, int], int] = field(default_factory=dict)  # (id(material), occlusion's set) -> index
     textures: dict[tuple[int, bool], int] = field(default_factory=dict)  # (id(texture), with alpha) -> index
     images: dict[tuple[str, bytes], int] = field(default_factory=dict)  # (name, PNG) -> index of the texture
     tables: dict[int, int] = field(default_factory=dict)  # id(array) -> index of the accessor
@@ -150,15 +151,17 @@ class _Writer:
             "POSITION": self.vertex_accessor(mesh.positions[vertices], bounds=True),
             "NORMAL": self.vertex_accessor(mesh.normals[vertices]),
         }
-        if material.color_map or material.normal_map:
+        if material.color_map or material.normal_map or material.occlusion_map or material.roughness_map:
             attributes["TEXCOORD_0"] = self.vertex_accessor(mesh.uvs[vertices])
+        if material.occlusion_map and mesh.occlusion_uvs is not None:
+            attributes["TEXCOORD_1"] = self.vertex_accessor(mesh.occlusion_uvs[vertices])
         if material.normal_map:  # viewers that must make up the tangents do not agree on them
             tangents = _tangents(mesh.positions[vertices], mesh.normals[vertices], mesh.uvs[vertices], faces)
             attributes["TANGENT"] = self.vertex_accessor(tangents)
         primitive: Json = {
             "attributes": attributes,
             "indices": self.index_accessor(faces, len(vertices)),
-            "material": self.material(material),
+            "material": self.material(material, int("TEXCOORD_1" in attributes)),
         }
         if mesh.morph:
             primitive["targets"] = [self.target(mesh, mesh.morph, vertices, faces, "TANGENT" in attributes)]
@@ -227,21 +230,32 @@ class _Writer:
         self.binary += data + bytes(-len(data) % 4)
         return self.append("bufferViews", view if target is None else view | {"target": target})
 
-    def material(self, material: Material) -> int:
-        if id(material) not in self.materials:
-            self.materials[id(material)] = self.append("materials", self.material_entry(material))
-        return self.materials[id(material)]
+    def material(self, material: Material, occlusion_set: int) -> int:
+        key = id(material), occlusion_set
+        if key not in self.materials:
+            self.materials[key] = self.append("materials", self.material_entry(material, occlusion_set))
+        return self.materials[key]
 
-    def material_entry(self, material: Material) -> Json:
-        surface: Json = {"metallicFactor": 0, "roughnessFactor": 1}
+    def material_entry(self, material: Material, occlusion_set: int) -> Json:
+        surface: Json = {"metallicFactor": material.metallic, "roughnessFactor": material.roughness}
         entry: Json = {"name": material.name, "pbrMetallicRoughness": surface}
         if material.base_color != (1, 1, 1, 1):
             surface["baseColorFactor"] = list(material.base_color)
         if material.color_map:
             with_alpha = material.alpha_mode is not AlphaMode.OPAQUE and material.color_map.has_alpha
             surface["baseColorTexture"] = {"index": self.texture(material.color_map, with_alpha)}
+        if material.roughness_map:
+            surface["metallicRoughnessTexture"] = {"index": self.texture(material.roughness_map, with_alpha=False)}
         if material.normal_map:
             entry["normalTexture"] = {"index": self.texture(material.normal_map, with_alpha=False)}
+        if material.occlusion_map:
+            entry["occlusionTexture"] = {"index": self.texture(material.occlusion_map, with_alpha=False)}
+            if occlusion_set:
+                entry["occlusionTexture"]["texCoord"] = occlusion_set
+        if material.transmission:
+            self.used.add(TRANSMISSION)
+            through = _transmission(material, material.transmission, surface.get("baseColorTexture"))
+            entry["extensions"] = {TRANSMISSION: through}
         if material.alpha_mode is not AlphaMode.OPAQUE:
             entry["alphaMode"] = material.alpha_mode.value
         if material.alpha_mode is AlphaMode.MASK:
@@ -286,6 +300,18 @@ class _Writer:
         if self.binary:
             chunks += _chunk(b"BIN\0", bytes(self.binary))
         return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+
+
+def _transmission(material: Material, transmission: Transmission, color_map: Json | None) -> Json:
+    """The extension's content. Its colour ends at 1, ours is a factor: beyond 1 the map's mean stands for the map."""
+    color = np.array(transmission.color)
+    entry: Json = {"diffuseTransmissionFactor": transmission.factor}
+    if material.color_map and color_map:
+        if (color <= 1).all():
+            entry["diffuseTransmissionColorTexture"] = color_map
+        else:
+            color *= mean_texel(material.color_map, material)[:3]
+    return entry | {"diffuseTransmissionColorFactor": np.minimum(color, 1).tolist()}
 
 
 def _compact(faces: Ints, vertices: int) -> tuple[Ints, Ints]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from treebake.errors import InputError, WorkspaceError
 from treebake.files import atomic
-from treebake.model import Bytes, Floats, Texture
+from treebake.model import AlphaMode, Bytes, Doubles, Floats, Material, Texture
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Rec. 709
 
@@ -109,6 +109,23 @@ def to_srgb(linear: Floats) -> Bytes:
     x = np.clip(linear, 0, 1)
     encoded = np.where(x <= 0.0031308, x * 12.92, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
     return np.asarray(np.rint(encoded * 255), np.uint8)
+
+
+def mean_texel(texture: Texture, material: Material) -> Doubles:
+    """The mean linear RGB, and alpha, of a texture's texels where a material's colour map is drawn: (4,) float64, 0..1.
+
+    The texture may be of another size than the colour map. Where nothing is drawn, or there is no such map, all count.
+    """
+    height, width = texture.pixels.shape[:2]
+    shown = np.ones((height, width), bool)
+    if material.color_map and material.alpha_mode is not AlphaMode.OPAQUE:
+        alpha = material.color_map.pixels[..., 3]
+        rows, columns = (np.arange(n) * there // n for n, there in zip((height, width), alpha.shape, strict=True))
+        shown = alpha[np.ix_(rows, columns)] >= max(material.alpha_cutoff * 255, 1)
+    texels = texture.pixels[shown] if shown.any() else texture.pixels.reshape(-1, 4)
+    counts = [np.bincount(texels[:, channel], minlength=256) for channel in range(4)]
+    values = [*[_LINEAR.astype(np.float64)] * 3, np.arange(256) / 255]
+    return np.array([count @ value for count, value in zip(counts, values, strict=True)]) / len(texels)
 
 
 def bleed(pixels: Floats) -> Floats:

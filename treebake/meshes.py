@@ -92,14 +92,28 @@ def _join(path: Path, parts: Sequence[Part], up: str) -> Mesh:
     return Mesh(
         positions=_upright(_stack([part.positions for part in parts], 3), up),
         normals=_upright(_stack([_or(part.normals, part, 3, np.nan) for part in parts], 3), up),
-        uvs=np.nan_to_num(_stack([_or(part.uvs, part, 2, 0) for part in parts], 2), posinf=0, neginf=0),
+        uvs=_join_uvs([part.uvs for part in parts], parts),
         faces=_stack([part.faces + offset for part, offset in zip(parts, offsets, strict=False)], 3).astype(np.int32),
         face_material=np.concatenate([np.zeros(0), *face_material]).astype(np.int32),
         face_node=np.concatenate([np.zeros(0), *face_node]).astype(np.int32),
         materials=tuple(material for _, material in materials.values()),
         nodes=tuple(nodes),
         morph=_join_morphs(parts, up) if any(part.morph for part in parts) else None,
+        occlusion_uvs=_join_occlusion_uvs(parts),
     )
+
+
+def _join_uvs(uvs: Sequence[Floats | None], parts: Sequence[Part]) -> Floats:
+    """Zero where there are none."""
+    joined = _stack([_or(each, part, 2, 0) for each, part in zip(uvs, parts, strict=True)], 2)
+    return np.nan_to_num(joined, posinf=0, neginf=0)
+
+
+def _join_occlusion_uvs(parts: Sequence[Part]) -> Floats | None:
+    """Those of the parts without any are their uvs."""
+    if all(part.occlusion_uvs is None for part in parts):
+        return None
+    return _join_uvs([part.uvs if part.occlusion_uvs is None else part.occlusion_uvs for part in parts], parts)
 
 
 def _join_morphs(parts: Sequence[Part], up: str) -> Morph:
@@ -157,13 +171,15 @@ def _complete_normals(mesh: Mesh) -> Mesh:
     computed, source, bare_faces = crease_normals(mesh.positions, mesh.faces[bare], _CREASE)
     faces = mesh.faces.copy()
     faces[bare] = bare_faces + len(mesh.positions)
+    origin = np.concatenate([np.arange(len(mesh.positions)), source])
     return replace(
         mesh,
-        positions=np.concatenate([mesh.positions, mesh.positions[source]]),
+        positions=mesh.positions[origin],
         normals=np.concatenate([np.where(usable[:, None], normals, _UP), computed]),
-        uvs=np.concatenate([mesh.uvs, mesh.uvs[source]]),
+        uvs=mesh.uvs[origin],
         faces=faces,
         morph=None,  # our own files, which have some, lack no normals
+        occlusion_uvs=None if mesh.occlusion_uvs is None else mesh.occlusion_uvs[origin],
     ).select(np.ones(len(faces), bool))
 
 

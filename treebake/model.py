@@ -238,14 +238,35 @@ class Decision:
     reason: str
 
 
+@dataclass(frozen=True)
+class Translucency:
+    """What the leaves of a tree let through, in the mean.
+
+    transmission: its colour a factor on base colour times colour map, as atlases hold it. origin: "source", "broad
+    leaf" or "needle", or several of them with commas.
+    """
+
+    transmission: Transmission
+    origin: str
+
+
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """A tree split in two: solid trunk and sparse foliage; either mesh may be empty."""
+    """A tree split in two: solid trunk and sparse foliage; either mesh may be empty.
+
+    translucency: None where no light goes through the leaves.
+    """
 
     trunk: Mesh
     foliage: Mesh
     leaves: Leaves
     decisions: tuple[Decision, ...]
+    translucency: Translucency | None = None
+
+    @property
+    def transmission(self) -> Transmission | None:
+        """What stands for the leaves lets this through."""
+        return None if self.translucency is None else self.translucency.transmission
 
 
 @dataclass(frozen=True, eq=False)
@@ -491,6 +512,7 @@ class BakedTree:
     slicings: SlicedFoliage | None = None
     views: Impostor | None = None
     levels: tuple[BakedLevel, ...] = ()
+    translucency: Translucency | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,6 +1,7 @@
 """The order of the stages, on one screen.
 
-    load -> split -> occlusion -> twigs -> cluster, twice   `cluster_tree`: a mesh file into the work folder
+    load -> split -> occlusion -> translucency -> normals
+            -> twigs -> cluster, twice                      `cluster_tree`: a mesh file into the work folder
             -> views, indirect, slicings, billboards, trunk
             -> hierarchy -> a cloud and a trunk for each level (`levels.py`)
             -> ladder, or smallest -> write_asset           `bake_textures`: the work folder into the published one
@@ -57,10 +58,12 @@ from treebake.stages.billboards import billboards
 from treebake.stages.cluster import cluster
 from treebake.stages.hierarchy import hierarchy
 from treebake.stages.indirect import indirect
+from treebake.stages.normals import normals
 from treebake.stages.occlusion import occlusion
 from treebake.stages.scatter import scatter
 from treebake.stages.slicings import slicings
 from treebake.stages.split import split
+from treebake.stages.translucency import translucency
 from treebake.stages.trunk import TrunkReport, compare, trunk
 from treebake.stages.twigs import twigs
 from treebake.stages.views import views
@@ -100,6 +103,7 @@ LOG = logging.getLogger("treebake")
 
 T = TypeVar("T", Rung, LeftOut)
 
+_PLAIN, _PARTS = "translucency", "normals"  # the names of the results before normals turn, and before twigs move
 _INDIRECT_CLUSTER = "indirect_cluster"  # the name of the second clustering's result
 
 
@@ -140,7 +144,10 @@ def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
     _spare(path, work.folder, path.stem)
     with work.announce("load"):
         mesh = replace(read_mesh(path, settings.load), morph=None)  # a level may be a source too
-    parts = work.run(occlusion, settings.occlusion, work.run(split, settings.split, Result.of(mesh)))
+    parts = work.run(split, settings.split, Result.of(mesh))
+    parts = work.run(occlusion, settings.occlusion, parts)
+    parts = work.run(translucency, settings.translucency, parts)
+    parts = work.run(normals, settings.normals, parts)
     tree = work.run(twigs, settings.twigs, parts)
     clusters = indirect_clusters = None
     if tree.value.leaves.count:
@@ -214,7 +221,7 @@ def _check_what_comes_last(settings: Settings) -> None:
 def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> BakedTree:
     """Run what is left of the stages."""
     source, command = _source(work), _command(work)
-    parts, tree = work.read("occlusion", command), work.read("twigs", command)
+    parts, tree = work.read(_PARTS, command), work.read("twigs", command)
     layers: IndirectTextures | None = None
     sliced: SlicedFoliage | None = None
     planes: Result[Hierarchy] | None = None
@@ -222,7 +229,10 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
         leaves = tree.part("leaves")
         if settings.indirect.enabled:  # before the atlas, the slowest: they may find that something does not fit
             thick_planes = work.read(_INDIRECT_CLUSTER, command, leaves)
-            layers = work.run(indirect, settings.indirect, tree, thick_planes).value
+            plain, own = work.read(_PLAIN, command), tree
+            if plain.digest != parts.digest:  # a leaf's image is shared by leaves whose normals turn otherwise
+                own = work.run(twigs, settings.twigs, plain, name="indirect_twigs")
+            layers = work.run(indirect, settings.indirect, own, thick_planes).value
         if settings.slicings.enabled:
             sparse = work.run(twigs, settings.slicing_twigs, parts, name="slicing_twigs")
             thick = work.run(trunk, settings.slicing_trunk, sparse.part("trunk"), name="slicing_trunk").value
@@ -246,13 +256,14 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
         source_triangles=source.triangles,
         source_bounds=source.bounds,
         levels=bake_levels(work, settings, parts, tree, planes, solid) if settings.levels.enabled else (),
+        translucency=parts.value.translucency,
     )
 
 
 def _publish(work: Workspace, baked: BakedTree, folder: Path, shared: Path | None, settings: Settings) -> Baked:
     """Measure the asset, publish it, and tell what is left of the trunk."""
     command = _command(work)
-    parts: Result[Tree] = work.read("split", command)
+    parts: Result[Tree] = work.read(_PARTS, command)
     published, measured = _measured(work, baked, parts, settings)
     if shared and measured:  # the draft had the views beside it
         measured = _with_views_in(measured, shared.as_posix())

@@ -25,10 +25,12 @@ from treebake.stages.billboards import BillboardSettings
 from treebake.stages.cluster import ClusterSettings
 from treebake.stages.hierarchy import HierarchySettings
 from treebake.stages.indirect import IndirectSettings
+from treebake.stages.normals import NormalSettings
 from treebake.stages.occlusion import OcclusionSettings
 from treebake.stages.scatter import ForestSettings
 from treebake.stages.slicings import SlicingSettings
 from treebake.stages.split import SplitSettings
+from treebake.stages.translucency import TranslucencySettings
 from treebake.stages.trunk import TrunkSettings
 from treebake.stages.twigs import TwigSettings
 from treebake.stages.views import ViewSettings
@@ -58,6 +60,8 @@ class Settings:
     load: LoadSettings = field(default_factory=LoadSettings)
     split: SplitSettings = field(default_factory=SplitSettings)
     occlusion: OcclusionSettings = field(default_factory=OcclusionSettings)
+    translucency: TranslucencySettings = field(default_factory=TranslucencySettings)
+    normals: NormalSettings = field(default_factory=NormalSettings)
     twigs: TwigSettings = field(default_factory=TwigSettings)
     cluster: ClusterSettings = field(default_factory=ClusterSettings)
     hierarchy: HierarchySettings = field(default_factory=HierarchySettings)

@@ -55,6 +55,8 @@ def of_clustered(done: "Clustered") -> Facts:
     tree = done.tree.value
     facts = of_tree(done.split.value)
     facts["twig_triangles_moved_to_foliage"] = tree.foliage.triangles - done.split.value.foliage.triangles
+    through = done.split.value.translucency
+    facts["translucency"] = f"{through.transmission.factor:.2f}, {through.origin}" if through else "none"
     if done.clusters:
         fit = cluster_statistics(tree.leaves, done.clusters.value)
         facts["billboards"] = fit.billboards

@@ -4,13 +4,14 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
 from treebake.asset.manifest import FORMAT
 from treebake.errors import AssetError, InputError
 from treebake.formats.gltf_file import GltfFile
+from treebake.model import Transmission
 
 T = TypeVar("T")
 
@@ -18,6 +19,16 @@ Index = Annotated[int, msgspec.Meta(ge=0)]
 Count = Annotated[int, msgspec.Meta(ge=1)]
 Length = Annotated[float, msgspec.Meta(gt=0)]
 Point = tuple[float, float, float]
+Part = Annotated[float, msgspec.Meta(ge=0, le=1)]
+Positive = Annotated[float, msgspec.Meta(ge=0)]
+
+
+@dataclass(frozen=True)
+class TransmissionExtras:
+    """What light goes through: what part of it, and as a factor on the colour images."""
+
+    factor: Part
+    color: tuple[Positive, Positive, Positive]
 
 
 @dataclass(frozen=True)
@@ -37,6 +48,7 @@ class IndirectExtras:
     leaf_normal: Index
     far_color: Index
     far_normal: Index
+    transmission: TransmissionExtras | None
 
 
 @dataclass(frozen=True)
@@ -68,6 +80,7 @@ class SlicingsExtras:
     brightness: float
     exposure: Length
     untrimmed: Count
+    transmission: TransmissionExtras | None
 
 
 @dataclass(frozen=True)
@@ -84,6 +97,7 @@ class TreeViewsExtras:
     support: Index
     brightness: float
     exposure: Length
+    transmission: TransmissionExtras | None
 
 
 @dataclass(frozen=True)
@@ -151,6 +165,16 @@ def extras_schema() -> str:
     """The JSON schema of `extras.treebake`, which is kept as `extras.schema.json` beside this file."""
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **msgspec.json.schema(Extras)}
     return json.dumps(schema, indent=2) + "\n"
+
+
+def transmission_extras(transmission: Transmission | None) -> dict[str, Any] | None:
+    """What light goes through, as JSON."""
+    return None if transmission is None else {"factor": transmission.factor, "color": list(transmission.color)}
+
+
+def read_transmission(extras: TransmissionExtras | None) -> Transmission | None:
+    """The reverse."""
+    return None if extras is None else Transmission(extras.factor, extras.color)
 
 
 def read_extras(path: Path, what: str, read: Callable[[GltfFile, Extras], tuple[T, str]]) -> T:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from treebake.asset.extras import Extras, IndirectExtras, read_extras
+from treebake.asset.extras import Extras, IndirectExtras, read_extras, read_transmission, transmission_extras
 from treebake.asset.manifest import FORMAT
 from treebake.compression import block_bytes
 from treebake.formats.gltf_file import GltfFile
@@ -31,7 +31,7 @@ def indirect_extras(textures: IndirectTextures) -> dict[str, Any]:
     tables = {name: getattr(textures, name).reshape(-1, width) for name, (width, _) in TABLES.items()}
     images = {name: getattr(textures, name) for name in IMAGES}
     values = {**tables, **images, "hash_width": textures.hash_texture.shape[1], "largest": textures.largest}
-    values["leaves"] = textures.leaves
+    values |= {"leaves": textures.leaves, "transmission": transmission_extras(textures.transmission)}
     ordered = {field.name: values[field.name] for field in fields(IndirectExtras)}
     return {"format": FORMAT, "indirect": ordered}
 
@@ -50,7 +50,8 @@ def _read(file: GltfFile, extras: Extras) -> tuple[IndirectTextures, str]:
         raise ValueError("there are none")
     found: Any = {name: _table(file, where, name) for name in TABLES}
     found |= {name: file.texture(getattr(where, name)) for name in IMAGES}
-    textures = IndirectTextures(**found, leaves=where.leaves, largest=where.largest)
+    found |= {"leaves": where.leaves, "largest": where.largest, "transmission": read_transmission(where.transmission)}
+    textures = IndirectTextures(**found)
     return textures, _damage(textures)
 
 

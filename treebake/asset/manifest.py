@@ -20,6 +20,17 @@ class Source:
 
 
 @dataclass(frozen=True)
+class Translucency:
+    """What the leaves let through in the mean. color: a factor on base colour times colour map. origin: of the figures,
+    "source", "broad leaf" or "needle", or several of them with commas.
+    """
+
+    factor: float
+    color: tuple[float, float, float]
+    origin: str
+
+
+@dataclass(frozen=True)
 class Level:
     """One self-contained GLB with standard materials. bytes: of the file. min_height: the height on screen, in pixels
     of the tree's bounding sphere, from which on this level is meant to be drawn. trunk_iou: of the silhouettes of a
@@ -153,6 +164,7 @@ class Manifest:
     views: ViewsEntry | None = None
     ladder: tuple[Rung, ...] = ()  # from near to far; empty where it was not measured
     left_out: tuple[LeftOut, ...] = ()
+    translucency: Translucency | None = None  # None where no light goes through
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from treebake.asset.extras import AtlasExtras, Extras, read_extras
+from treebake.asset.extras import AtlasExtras, Extras, read_extras, read_transmission, transmission_extras
 from treebake.asset.manifest import FORMAT
 from treebake.compression import block_bytes
 from treebake.errors import AssetError
@@ -44,6 +44,7 @@ def write_slicings(path: Path, foliage: SlicedFoliage) -> None:
         "brightness": slicings.brightness,
         "exposure": slicings.exposure,
         "untrimmed": slicings.untrimmed,
+        "transmission": transmission_extras(slicings.transmission),
     }
     write_glb(path, nodes, {"treebake": {"format": FORMAT, "slicings": where}})
 
@@ -61,6 +62,7 @@ def _slicings(file: GltfFile, extras: Extras) -> tuple[Slicings, str]:
         "slices": _table(file, where.slices, 3 + 2 * where.rectangles),
         "center": np.array(where.center),
         "atlas": _atlas(file, where.atlas),
+        "transmission": read_transmission(where.transmission),
     }
     del values["rectangles"]
     slicings = Slicings(**values)
@@ -91,6 +93,7 @@ def write_views(path: Path, named: Sequence[tuple[str, Impostor]]) -> None:
             "support": views.support.reshape(-1, 1),
             "brightness": views.brightness,
             "exposure": views.exposure,
+            "transmission": transmission_extras(views.transmission),
         }
         for name, views in ((name, impostor.views) for name, impostor in named)
     ]
@@ -113,6 +116,7 @@ def read_views(path: Path, name: str) -> Views:
             "center": np.array(where.center),
             "support": file.accessor(where.support).reshape(-1),
             "atlas": _atlas(file, extras.views.atlas),
+            "transmission": read_transmission(where.transmission),
         }
         del values["name"]
         views = Views(**values)

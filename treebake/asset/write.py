@@ -19,6 +19,7 @@ from treebake.asset.manifest import (
     Picture,
     SlicingsEntry,
     Source,
+    Translucency,
     ViewsEntry,
     screen_coverage,
 )
@@ -98,6 +99,7 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None, ladde
         textures=tuple(images),
         ladder=ladder.rungs if ladder else (),
         left_out=ladder.left_out if ladder else (),
+        translucency=_translucency(tree),
     )
     before = _named(folder)
     with atomic(folder / "manifest.json") as file:
@@ -105,6 +107,13 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None, ladde
     for stale in before - _named(folder):  # what an earlier bake left and this one does not have
         stale.unlink(missing_ok=True)
     return manifest
+
+
+def _translucency(tree: BakedTree) -> Translucency | None:
+    if tree.translucency is None:
+        return None
+    through = tree.translucency.transmission
+    return Translucency(through.factor, through.color, tree.translucency.origin)
 
 
 def _nodes(level: BakedLevel) -> list[tuple[str, Mesh]]:

@@ -5,7 +5,7 @@ An own reader because trimesh 5.2 drops texture transforms and texcoord sets, an
 
 import struct
 from collections.abc import Callable, Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,9 @@ import numpy as np
 from treebake.errors import MeshError, UnsupportedError
 from treebake.formats.gltf_file import Array, GltfFile, unit_range
 from treebake.formats.part import LOG, Part
-from treebake.glb import MORPH
-from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Morph
+from treebake.glb import MORPH, TRANSMISSION
+from treebake.images import mean_texel
+from treebake.model import AlphaMode, Doubles, Floats, Ints, Material, Morph, Texture, Transmission
 
 Json = dict[str, Any]
 
@@ -32,14 +33,17 @@ _REMEDIES = {
 }
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _FLOAT = 5126  # component type
+_DARKEST = 1e-3  # of a colour map's mean, below which a colour is no factor on it
 
 
 def read_gltf(path: Path, assigned: Collection[str] = ()) -> list[Part]:
     """Read the triangles of the default scene of a .glb or .gltf file, node transforms applied.
 
     Draco, quantised and sparse accessors, strips, fans and GPU instances are resolved; texture transforms are baked
-    into the uvs; faces stay counter-clockwise under mirroring nodes. Vertex colours, skins and morphs are not read, but
-    for a morph that is one target named "parent" of plain floats, as treebake writes it.
+    into the uvs, the strength of occlusion and the scale of normals into the texels; faces stay counter-clockwise under
+    mirroring nodes. Of diffuse transmission a factor and a colour are read, the means of its textures. Vertex colours,
+    skins and morphs are not read, but for a morph that is one target named "parent" of plain floats, as treebake writes
+    it.
     assigned: names of materials whose colour map comes from elsewhere, and is not looked for.
 
     Raises MeshError for a damaged file, InputError for a missing buffer or one outside the folder, UnsupportedError
@@ -66,6 +70,15 @@ class _UvMap:
 
     texcoord: int = 0
     rows: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1, 0, 0), (0, 1, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """A material, and how its textures are placed, the occlusion map apart."""
+
+    material: Material | None = None
+    uv_map: _UvMap = _UvMap()
+    occlusion: _UvMap = _UvMap()
 
 
 def _check_extensions(file: GltfFile) -> None:
@@ -143,9 +156,7 @@ def _compose(translation: Array, rotation: Array, scale: Array) -> Doubles:
     return matrices
 
 
-def _parts(
-    file: GltfFile, node: Json, worlds: Doubles, material: Callable[[int], tuple[Material, _UvMap]]
-) -> Iterator[Part]:
+def _parts(file: GltfFile, node: Json, worlds: Doubles, material: Callable[[int], _Surface]) -> Iterator[Part]:
     mesh = file.json["meshes"][node["mesh"]]
     for primitive in mesh["primitives"]:
         mode = primitive.get("mode", _TRIANGLES)
@@ -153,8 +164,7 @@ def _parts(
             LOG.info("%s: node %s has lines or points, which are left out", file.path, node["name"])
             continue
         attributes, indices = _geometry(file, primitive)
-        used, uv_map = material(primitive["material"]) if "material" in primitive else (None, _UvMap())
-        uvs = attributes.get(f"TEXCOORD_{uv_map.texcoord}")
+        surface = material(primitive["material"]) if "material" in primitive else _Surface()
         faces = _triangles(indices, mode)
         still, target = attributes, _target(file, mesh, primitive)
         positions, normals, placed = _place(still["POSITION"], still.get("NORMAL"), faces, worlds)
@@ -166,12 +176,15 @@ def _parts(
             morph = None if turned is None else Morph(there, turned)
         yield Part(
             node=node["name"],
-            material=used,
+            material=surface.material,
             positions=positions,
             normals=normals,
-            uvs=None if uvs is None else np.tile(_map_uvs(uvs, uv_map), (len(worlds), 1)),
+            uvs=_uvs(attributes, surface.uv_map, len(worlds)),
             faces=placed,
             morph=morph,
+            occlusion_uvs=None
+            if surface.occlusion == surface.uv_map
+            else _uvs(attributes, surface.occlusion, len(worlds)),
         )
 
 
@@ -235,35 +248,85 @@ def _place(positions: Array, normals: Array | None, faces: Ints, worlds: Doubles
     return placed.reshape(-1, 3).astype(np.float32), normals, wound.reshape(-1, 3).astype(np.int32)
 
 
-def _map_uvs(uvs: Array, uv_map: _UvMap) -> Floats:
-    if uv_map.rows == _UvMap.rows:
-        return np.asarray(uvs, np.float32)
-    rows = np.array(uv_map.rows)
-    return np.asarray(uvs @ rows[:, :2].T + rows[:, 2], np.float32)
+def _uvs(attributes: dict[str, Array], uv_map: _UvMap, instances: int) -> Floats | None:
+    """The mapped texture coordinates of all instances, (I V, 2), where there are any."""
+    uvs = attributes.get(f"TEXCOORD_{uv_map.texcoord}")
+    if uvs is None:
+        return None
+    if uv_map.rows != _UvMap.rows:
+        rows = np.array(uv_map.rows)
+        uvs = uvs @ rows[:, :2].T + rows[:, 2]
+    return np.tile(np.asarray(uvs, np.float32), (instances, 1))
 
 
-def _material(file: GltfFile, index: int, assigned: Collection[str]) -> tuple[Material, _UvMap]:
+def _material(file: GltfFile, index: int, assigned: Collection[str]) -> _Surface:
     spec = file.json["materials"][index]
     name = spec.get("name") or f"material {index}"
     pbr = spec.get("pbrMetallicRoughness", {})
-    factor, color_map = pbr.get("baseColorFactor", (1, 1, 1, 1)), pbr.get("baseColorTexture")
+    color, color_map = pbr.get("baseColorFactor", (1, 1, 1, 1)), pbr.get("baseColorTexture")
+    roughness, metallic = float(pbr.get("roughnessFactor", 1)), float(pbr.get("metallicFactor", 1))
     if glossy := spec.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness"):
-        factor, color_map = glossy.get("diffuseFactor", (1, 1, 1, 1)), glossy.get("diffuseTexture")
-    red, green, blue, alpha = (float(c) for c in factor)
-    normal_map = spec.get("normalTexture")
-    uv_map = _uv_map(color_map or normal_map or {})
-    if normal_map and _uv_map(normal_map) != uv_map:
-        LOG.warning("%s: material %s places its normal map by other uvs; going on without it", file.path, name)
-        normal_map = None
-    return Material(
+        color, color_map = glossy.get("diffuseFactor", (1, 1, 1, 1)), glossy.get("diffuseTexture")
+        roughness, metallic = 1.0, 0.0  # its gloss and its metal are not read
+    red, green, blue, alpha = (float(c) for c in color)
+    normal_map, roughness_map = spec.get("normalTexture"), pbr.get("metallicRoughnessTexture")
+    uv_map = _uv_map(color_map or normal_map or roughness_map or {})
+    for what, info in (("normal", normal_map), ("roughness", roughness_map)):
+        if info and _uv_map(info) != uv_map:
+            LOG.warning("%s: material %s places its %s map by other uvs; going on without it", file.path, name, what)
+    material = Material(
         name=name,
         base_color=(red, green, blue, alpha),
-        color_map=file.texture(color_map["index"]) if color_map and name not in assigned else None,
-        normal_map=file.texture(normal_map["index"]) if normal_map else None,
+        color_map=None if name in assigned else _texture(file, color_map),
+        normal_map=_texture(file, normal_map if normal_map and _uv_map(normal_map) == uv_map else None),
+        occlusion_map=_texture(file, spec.get("occlusionTexture")),
+        roughness_map=_texture(file, roughness_map if roughness_map and _uv_map(roughness_map) == uv_map else None),
+        roughness=roughness,
+        metallic=metallic,
         alpha_mode=AlphaMode(spec.get("alphaMode", "OPAQUE")),
         alpha_cutoff=float(spec.get("alphaCutoff", 0.5)),
         double_sided=bool(spec.get("doubleSided", False)),
-    ), uv_map
+    )
+    through = spec.get("extensions", {}).get(TRANSMISSION)
+    if through is not None:
+        material = replace(material, transmission=_transmission(file, through, material, color_map))
+    return _Surface(material, uv_map, _uv_map(spec["occlusionTexture"]) if material.occlusion_map else uv_map)
+
+
+def _texture(file: GltfFile, info: Json | None) -> Texture | None:
+    """The image of a texture info, its scale (of normals) or strength (of occlusion) applied to the texels."""
+    texture = file.texture(info["index"]) if info else None
+    if not info or not texture:
+        return None
+    scale, strength = float(info.get("scale", 1)), float(info.get("strength", 1))
+    if scale == strength == 1:
+        return texture
+    values = texture.pixels[..., :3] / 255
+    if scale != 1:
+        normals = (values * 2 - 1) * (scale, scale, 1)
+        values = normals / np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-6) * 0.5 + 0.5
+    else:
+        values = np.clip(1 + strength * (values - 1), 0, 1)
+    return Texture(texture.name, np.dstack([np.rint(values * 255).astype(np.uint8), texture.pixels[..., 3]]))
+
+
+def _transmission(file: GltfFile, through: Json, material: Material, color_map: Json | None) -> Transmission:
+    """What a material lets through, its colour as a factor on the colour map.
+
+    A colour that does not come from that map becomes the ratio of the means, so that as much light comes through.
+    """
+    factor = float(through.get("diffuseTransmissionFactor", 0))
+    if part := _texture(file, through.get("diffuseTransmissionTexture")):
+        factor *= float(mean_texel(part, material)[3])
+    color = np.array(through.get("diffuseTransmissionColorFactor", (1, 1, 1)), np.float64)
+    own = through.get("diffuseTransmissionColorTexture")
+    if not (own and color_map and own["index"] == color_map["index"]):
+        if texture := _texture(file, own):
+            color *= mean_texel(texture, material)[:3]
+        if material.color_map:
+            color /= np.maximum(mean_texel(material.color_map, material)[:3], _DARKEST)
+    red, green, blue = color.tolist()
+    return Transmission(min(max(factor, 0.0), 1.0), (red, green, blue))
 
 
 def _uv_map(texture_info: Json) -> _UvMap:

@@ -18,7 +18,8 @@ class Part:
 
     positions: (V, 3) float32. normals: (V, 3) float32 or None where the file has none; a row of NaN is missing too.
     uvs: (V, 2) float32, v downwards, or None. faces: (F, 3) int32, may be out of range. material: None where the file
-    names none. morph: of the vertices, where the file has one that is read; normals are then not None.
+    names none. morph: of the vertices, where the file has one that is read; normals are then not None. occlusion_uvs:
+    (V, 2) float32, where the occlusion map is placed otherwise than by `uvs`.
     """
 
     node: str
@@ -28,6 +29,7 @@ class Part:
     uvs: Floats | None
     faces: Ints
     morph: Morph | None = None
+    occlusion_uvs: Floats | None = None
 
 
 def beside(path: Path, uri: str, way_out: str = "") -> Path:

@@ -1,4 +1,16 @@
-"""The billboard cloud as every glTF viewer draws it: flat cards with one alpha-masked atlas ([GSSK05])."""
+"""The billboard cloud as every glTF viewer draws it: flat cards with one alpha-masked atlas ([GSSK05]).
+
+Cards have their plane's normal, and the atlas the leaves'. [GPSS07] 5.2 corrects a plane's normal towards its leaves';
+the mean normal of each card's leaves in its vertices, with an atlas relative to that, was tried. On the chestnut, FLIP
+over floor(1 px), the plane's normal and then the leaves' mean:
+
+                      2000 cards, 256 px   64 px          LOD1, 256 px   LOD3, 64 px    LOD5, 32 px
+    normal map drawn  1.399 1.399          1.386 1.386    1.767 1.766    1.753 1.753    1.588 1.588
+    and left out      1.439 1.437          1.394 1.397    1.796 1.795    1.704 1.768    1.503 1.609
+
+With the map nothing changes, and without it the light of a mean normal is not the mean light of leaves that face many
+ways: planes spread the light better.
+"""
 
 import logging
 from dataclasses import dataclass, replace
@@ -71,6 +83,7 @@ def billboards(tree: Tree, clusters: Clusters, settings: BillboardSettings) -> B
             alpha_mode=AlphaMode.MASK,
             alpha_cutoff=settings.cutoff,
             double_sided=True,
+            transmission=tree.transmission,
         )
         return _cloud(cards, clusters, origins, density, size, settings.padding, material)
 

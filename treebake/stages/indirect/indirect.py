@@ -77,6 +77,7 @@ def indirect(tree: Tree, clusters: Clusters, settings: IndirectSettings) -> Indi
         leaf_normal=images.normal,
         far_color=far_color,
         far_normal=far_normal,
+        transmission=tree.transmission,
     )
 
 

@@ -73,6 +73,7 @@ def slicings(tree: Tree, settings: SlicingSettings) -> SlicedFoliage:
         brightness=0.0,
         exposure=1.0,
         atlas=atlas,
+        transmission=tree.transmission,
         untrimmed=sum(width * height for width, height in (each.shot.size for each in slices)),
     )
     large = foliage.select(solid)
@@ -87,7 +88,7 @@ def _standard(tree: Tree, center: Doubles, solid: NDArray[np.bool_], settings: S
     taken = [each.shot for each in slices]
     photos = list(photograph(tree.foliage, taken, settings.supersample))
     depths = np.array([each.offset + float((each.slicing.turn @ center)[2]) for each in slices])
-    return crossed_cards(taken, photos, depths, "slices")
+    return crossed_cards(taken, photos, depths, "slices", tree.transmission)
 
 
 def _check(settings: SlicingSettings) -> None:

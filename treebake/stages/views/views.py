@@ -10,7 +10,7 @@ from treebake.checks import check, is_power_of_two
 from treebake.crossed import crossed_cards
 from treebake.geometry import join, turn_to
 from treebake.gl.photo import Shot, photograph
-from treebake.model import EMPTY_MESH, Doubles, Floats, Impostor, Ints, Mesh, Tree, Views
+from treebake.model import EMPTY_MESH, Doubles, Floats, Impostor, Ints, Mesh, Transmission, Tree, Views
 from treebake.pictures import Part, compose, covered, place_pictures, trimmed
 from treebake.stages.views.directions import hemi_octahedron, ring
 from treebake.stages.views.support import support
@@ -64,7 +64,7 @@ def views(trees: Sequence[Tree], settings: ViewSettings) -> tuple[Impostor, ...]
     )
     atlas = compose(parts, size, settings.gutter, "views")
     made = []
-    for number, mesh in enumerate(wholes):
+    for number, (tree, mesh) in enumerate(zip(trees, wholes, strict=True)):
         own = slice(number * len(shots[0]), (number + 1) * len(shots[0]))
         center = mesh.bounds.astype(np.float64).mean(axis=0)
         points = mesh.positions[mesh.used].astype(np.float64) - center
@@ -79,9 +79,10 @@ def views(trees: Sequence[Tree], settings: ViewSettings) -> tuple[Impostor, ...]
             brightness=0.0,
             exposure=1.0,
             atlas=atlas,
+            transmission=tree.transmission,
         )
         fitted = fit_brightness(plain, EMPTY_MESH, mesh, _FIT_HEIGHT)
-        made.append(Impostor(fitted, _standard(mesh, texel, settings.supersample)))
+        made.append(Impostor(fitted, _standard(mesh, texel, settings.supersample, tree.transmission)))
     return tuple(made)
 
 
@@ -132,12 +133,12 @@ def _shots(mesh: Mesh, turn: Doubles, texel: float, layers: int) -> list[Shot]:
     ]
 
 
-def _standard(mesh: Mesh, texel: float, supersample: int) -> Mesh:
+def _standard(mesh: Mesh, texel: float, supersample: int, transmission: Transmission | None) -> Mesh:
     """Two crossed cards that any viewer draws."""
     taken = [_shots(mesh, turn_to(0.0, azimuth), texel, layers=1)[0] for azimuth in (0.0, 90.0)]
     middle = mesh.bounds.astype(np.float64).mean(axis=0)
     depths = np.array([float((shot.turn @ middle)[2]) for shot in taken])
-    return crossed_cards(taken, list(photograph(mesh, taken, supersample)), depths, "views")
+    return crossed_cards(taken, list(photograph(mesh, taken, supersample)), depths, "views", transmission)
 
 
 def _table(
