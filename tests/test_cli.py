@@ -233,7 +233,8 @@ def test_second_bake_skips_the_stages_and_says_so(tmp_path: Path, tree: Path, tr
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     again = treebake("bake", tree, "-o", tmp_path, *COARSE)
     foliage = ["split", "twigs", "cluster", "indirect_cluster", "views", "indirect"]
-    assert skipped(again) == [*foliage, "slicing_twigs", "slicing_trunk", "slicings", "billboards", "trunk"]
+    sliced = ["slicing_twigs", "slicing_trunk", "slicing_trunk_maps", "slicings"]
+    assert skipped(again) == [*foliage, *sliced, "billboards", "trunk", "trunk_maps"]
     forced = treebake("bake", tree, "-o", tmp_path, *COARSE, "--force")
     assert "up to date" not in forced.err
 
@@ -243,9 +244,10 @@ def test_only_what_depends_on_a_setting_runs_again(
 ) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--trunk-triangles", 100)
-    sliced = ["slicing_twigs", "slicing_trunk", "slicings"]
-    # twigs ran, with the same outcome
-    assert skipped(again) == ["split", "cluster", "indirect_cluster", "views", "indirect", *sliced, "billboards"]
+    sliced = ["slicing_twigs", "slicing_trunk", "slicing_trunk_maps", "slicings"]
+    # twigs and trunk ran, with the same outcome
+    rest = ["split", "cluster", "indirect_cluster", "views", "indirect", *sliced, "billboards", "trunk_maps"]
+    assert skipped(again) == rest
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--set", "indirect_cluster.billboards=3")
     # the trunk's budget, too, is another again
     assert skipped(again) == ["split", "cluster", "views", *sliced, "billboards"]
@@ -256,11 +258,14 @@ def test_slicings_and_views_run_again_by_their_own_settings(
 ) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     trunk = ("--set", "slicing_trunk.triangles=100")  # the budget of both their twigs and their trunk
-    rest = ["split", "twigs", "cluster", "indirect_cluster", "views", "indirect", "slicings", "billboards", "trunk"]
+    first = ["split", "twigs", "cluster", "indirect_cluster", "views", "indirect"]
+    last = ["billboards", "trunk", "trunk_maps"]
+    rest = [*first, "slicing_trunk_maps", "slicings", *last]
     assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk)) == rest
     fewer = ("--set", "slicings.slices=2", "--set", "views.side=2")
-    rest = ["split", "twigs", "cluster", "indirect_cluster", "indirect", "slicing_twigs", "slicing_trunk"]
-    assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk, *fewer)) == [*rest, "billboards", "trunk"]
+    rest = ["split", "twigs", "cluster", "indirect_cluster", "indirect"]
+    rest += ["slicing_twigs", "slicing_trunk", "slicing_trunk_maps"]
+    assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk, *fewer)) == [*rest, *last]
 
 
 def test_cluster_then_textures_is_bake(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
@@ -630,7 +635,8 @@ def test_levels_are_baked_verified_and_baked_again(
     levels = json.loads(result.out)["levels"]
     assert [(level["billboards"], level["min_height"]) for level in levels] == [(40, 64), (8, 32), (2, 0)]
     again = skipped(treebake("bake", tree, "-o", tmp_path, *TEXTURES, *LEVELS))
-    assert again[-6:] == [f"{stage}_{number}" for number in (1, 2) for stage in ("twigs", "trunk", "billboards")]
+    stages = ("twigs", "trunk", "billboards", "trunk_maps")
+    assert again[-8:] == [f"{stage}_{number}" for number in (1, 2) for stage in stages]
     views = ("--set", "verify.heights=[32]", "--set", "verify.azimuths=1", "--set", 'verify.representations=["cloud"]')
     judged = treebake("verify", tmp_path / "tree", "--source", tree, *views, "--set", "verify.morph=2", "--json")
     assert judged.code == 0, judged.err

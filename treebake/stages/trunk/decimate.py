@@ -42,12 +42,12 @@ def decimate(mesh: Mesh, triangles: int) -> Mesh:
 def _bare(mesh: Mesh, surface: Surface, points: Doubles, faces: Longs) -> Mesh:
     """The simplified faces as a mesh with the source's attributes."""
     source = surface.positions[surface.faces]
-    nearest = Triangles(source).nearest_face
+    nearest = Triangles(source).nearest_point
     corners = points[faces]
     middles = corners.mean(axis=1)
-    home = nearest(middles)
+    home, _ = nearest(middles)
     inner = corners + _INSET * (middles[:, None] - corners)
-    face = nearest(inner.reshape(-1, 3))
+    face, _ = nearest(inner.reshape(-1, 3))
     raw = mesh.faces[surface.ids]
     uv, normal = mesh.uvs[raw].astype(np.float64), mesh.normals[raw].astype(np.float64)
 

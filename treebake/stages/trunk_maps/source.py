@@ -17,7 +17,8 @@ def used_materials(mesh: Mesh) -> list[Material]:
 def source_colors(source: Mesh, texels: Texels) -> Doubles:
     """(T, 3) linear colour, factors and maps."""
     colors = _looked_up(source, texels, lambda material: material.color_map, source.uvs, srgb=True)
-    return colors * np.array([material.base_color[:3] for material in source.materials])[_material(source, texels)]
+    factors: Doubles = np.array([material.base_color[:3] for material in source.materials])
+    return colors * factors[_material(source, texels)]
 
 
 def source_occlusion(source: Mesh, texels: Texels) -> Doubles:
@@ -32,7 +33,7 @@ def source_occlusion(source: Mesh, texels: Texels) -> Doubles:
 def source_roughness(source: Mesh, texels: Texels) -> Doubles:
     """(T, 2) roughness and metal, factors and maps."""
     maps = _looked_up(source, texels, lambda material: material.roughness_map, source.uvs, srgb=False)[:, 1:]
-    factors = np.array([(material.roughness, material.metallic) for material in source.materials])
+    factors: Doubles = np.array([(material.roughness, material.metallic) for material in source.materials])
     return maps * factors[_material(source, texels)]
 
 

@@ -39,10 +39,10 @@ class TrunkMapSettings:
 def trunk_maps(simple: Mesh, full: Mesh, settings: TrunkMapSettings) -> MappedTrunk:
     """Bake the colour, normals, occlusion and roughness of `full` for `simple`, which is full simplified.
 
-    "tiled": full repeats its textures, which are finer than a map that uses each texel once; materials, texture
-    coordinates and maps stay, and where occlusion is known it goes into one map over `occlusion_uvs`. "unique": one
-    material, with the maps that say more than its factors do. "none": it is switched off, or there is no trunk.
-    Faces without area are left out. Raises SettingsError and GraphicsError.
+    "tiled": full repeats its textures, which are finer than a map that uses each texel once, or it was not simplified;
+    materials, texture coordinates and maps stay, and where occlusion is known it goes into one map over
+    `occlusion_uvs`. "unique": one material, with the maps that say more than its factors do. "none": it is switched
+    off, or there is no trunk. Faces without area are left out. Raises SettingsError and GraphicsError.
     """
     rules = (
         ("size", is_power_of_two(settings.size, 16, 4096), "a power of two, 16 to 4096"),
@@ -55,7 +55,7 @@ def trunk_maps(simple: Mesh, full: Mesh, settings: TrunkMapSettings) -> MappedTr
     wanted = _PIXEL * settings.height / float(np.ptp(source.bounds, axis=0).max())
     charts = unwrap(kept, wanted, settings.size)
     tiled = tiled_density(source)
-    if tiled > charts.density:
+    if tiled > charts.density or kept.triangles == source.triangles:
         maps = TrunkMaps("tiled", tiled, charts.density)
         if not _has_occlusion(source):
             return MappedTrunk(simple, maps)
