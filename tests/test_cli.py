@@ -250,7 +250,7 @@ def test_only_what_depends_on_a_setting_runs_again(
     assert skipped(again) == rest
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--set", "indirect_cluster.billboards=3")
     # the trunk's budget, too, is another again
-    assert skipped(again) == ["split", "cluster", "views", *sliced, "billboards"]
+    assert skipped(again) == ["split", "cluster", "views", *sliced, "billboards", "trunk_maps"]
 
 
 def test_slicings_and_views_run_again_by_their_own_settings(
@@ -643,7 +643,7 @@ def test_levels_are_baked_verified_and_baked_again(
     morphs = json.loads(judged.out)["representations"]["cloud"]["morphs"]
     assert [(morph["level"], morph["height"]) for morph in morphs] == [(0, 64), (1, 32)]
     # A level is a source like any other, its morph left out, even where its cards are called the trunk.
-    names = ("--set", 'split.trunk_materials=["foliage"]', "--set", 'split.foliage_materials=["bark"]')
+    names = ("--set", 'split.trunk_materials=["foliage"]', "--set", 'split.foliage_materials=["trunk"]')
     assert treebake("bake", tmp_path / "tree/tree_LOD1.glb", "-o", tmp_path / "next", *TEXTURES, *names).code == 0
     assert read_mesh(tmp_path / "next/tree_LOD1/tree_LOD1_LOD0.glb").morph is None
 
