@@ -224,6 +224,9 @@ def test_two_bakes_give_the_same_bytes(tmp_path: Path, tree: Path, treebake: Cal
     assert [p.name for p, q in zip(first, second, strict=True) if p.read_bytes() != q.read_bytes()] == []
 
 
+SPLIT = ["split", "occlusion", "translucency", "normals"]
+
+
 def skipped(result: Outcome) -> list[str]:
     """The stages that a bake found done."""
     return [line.split()[0] for line in result.lines if line.endswith("up to date")]
@@ -232,8 +235,9 @@ def skipped(result: Outcome) -> list[str]:
 def test_second_bake_skips_the_stages_and_says_so(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     again = treebake("bake", tree, "-o", tmp_path, *COARSE)
-    foliage = ["split", "translucency", "normals", "twigs", "cluster", "indirect_cluster", "views", "indirect"]
-    assert skipped(again) == [*foliage, "slicing_twigs", "slicing_trunk", "slicings", "billboards", "trunk"]
+    foliage = [*SPLIT, "twigs", "cluster", "indirect_cluster", "views", "indirect"]
+    sliced = ["slicing_twigs", "slicing_trunk", "slicing_trunk_maps", "slicings"]
+    assert skipped(again) == [*foliage, *sliced, "billboards", "trunk", "trunk_maps"]
     forced = treebake("bake", tree, "-o", tmp_path, *COARSE, "--force")
     assert "up to date" not in forced.err
 
@@ -243,13 +247,13 @@ def test_only_what_depends_on_a_setting_runs_again(
 ) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--trunk-triangles", 100)
-    sliced = ["slicing_twigs", "slicing_trunk", "slicings"]
-    # twigs ran, with the same outcome
-    same = ["cluster", "indirect_cluster", "views", "indirect", *sliced, "billboards"]
-    assert skipped(again) == ["split", "translucency", "normals", *same]
+    sliced = ["slicing_twigs", "slicing_trunk", "slicing_trunk_maps", "slicings"]
+    # twigs and trunk ran, with the same outcome
+    rest = [*SPLIT, "cluster", "indirect_cluster", "views", "indirect", *sliced, "billboards", "trunk_maps"]
+    assert skipped(again) == rest
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--set", "indirect_cluster.billboards=3")
     # the trunk's budget, too, is another again
-    assert skipped(again) == ["split", "translucency", "normals", "cluster", "views", *sliced, "billboards"]
+    assert skipped(again) == [*SPLIT, "cluster", "views", *sliced, "billboards", "trunk_maps"]
 
 
 def test_light_goes_through_leaves_unless_it_is_told_not_to(
@@ -284,12 +288,14 @@ def test_slicings_and_views_run_again_by_their_own_settings(
 ) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     trunk = ("--set", "slicing_trunk.triangles=100")  # the budget of both their twigs and their trunk
-    first = ["split", "translucency", "normals", "twigs", "cluster", "indirect_cluster"]
-    rest = [*first, "views", "indirect", "slicings", "billboards", "trunk"]
+    first = [*SPLIT, "twigs", "cluster", "indirect_cluster", "views", "indirect"]
+    last = ["billboards", "trunk", "trunk_maps"]
+    rest = [*first, "slicing_trunk_maps", "slicings", *last]
     assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk)) == rest
     fewer = ("--set", "slicings.slices=2", "--set", "views.side=2")
-    rest = [*first, "indirect", "slicing_twigs", "slicing_trunk"]
-    assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk, *fewer)) == [*rest, "billboards", "trunk"]
+    rest = [*SPLIT, "twigs", "cluster", "indirect_cluster", "indirect"]
+    rest += ["slicing_twigs", "slicing_trunk", "slicing_trunk_maps"]
+    assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk, *fewer)) == [*rest, *last]
 
 
 def test_cluster_then_textures_is_bake(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
@@ -659,14 +665,15 @@ def test_levels_are_baked_verified_and_baked_again(
     levels = json.loads(result.out)["levels"]
     assert [(level["billboards"], level["min_height"]) for level in levels] == [(40, 64), (8, 32), (2, 0)]
     again = skipped(treebake("bake", tree, "-o", tmp_path, *TEXTURES, *LEVELS))
-    assert again[-6:] == [f"{stage}_{number}" for number in (1, 2) for stage in ("twigs", "trunk", "billboards")]
+    stages = ("twigs", "trunk", "billboards", "trunk_maps")
+    assert again[-8:] == [f"{stage}_{number}" for number in (1, 2) for stage in stages]
     views = ("--set", "verify.heights=[32]", "--set", "verify.azimuths=1", "--set", 'verify.representations=["cloud"]')
     judged = treebake("verify", tmp_path / "tree", "--source", tree, *views, "--set", "verify.morph=2", "--json")
     assert judged.code == 0, judged.err
     morphs = json.loads(judged.out)["representations"]["cloud"]["morphs"]
     assert [(morph["level"], morph["height"]) for morph in morphs] == [(0, 64), (1, 32)]
     # A level is a source like any other, its morph left out, even where its cards are called the trunk.
-    names = ("--set", 'split.trunk_materials=["foliage"]', "--set", 'split.foliage_materials=["bark"]')
+    names = ("--set", 'split.trunk_materials=["foliage"]', "--set", 'split.foliage_materials=["trunk"]')
     assert treebake("bake", tmp_path / "tree/tree_LOD1.glb", "-o", tmp_path / "next", *TEXTURES, *names).code == 0
     assert read_mesh(tmp_path / "next/tree_LOD1/tree_LOD1_LOD0.glb").morph is None
 

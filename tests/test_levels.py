@@ -169,9 +169,11 @@ def test_what_is_published(tmp_path: Path) -> None:
     assert [level.trunk_iou is None for level in levels] == [True, False, False]
     assert [asset.level_for(height).name[4:8] for height in (100, 64, 40, 10)] == ["LOD0", "LOD0", "LOD1", "LOD2"]
     files = [image.file for image in asset.manifest.textures]
-    assert files == [
+    cards = [
         f"textures/oak{level}_foliage_{what}.png" for level in ("", "_LOD1", "_LOD2") for what in ("color", "normal")
     ]
+    assert files == [*cards[:4], "textures/oak_LOD1_trunk_normal.png", *cards[4:], "textures/oak_LOD2_trunk_normal.png"]
+    assert [level.trunk_maps for level in levels] == ["none", "unique", "unique"]
     assert_valid(*asset.level_paths)
 
 

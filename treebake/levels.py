@@ -23,6 +23,7 @@ from treebake.morph import morph_to_next
 from treebake.planes import with_pieces
 from treebake.stages.billboards import BillboardSettings, billboards
 from treebake.stages.trunk import TrunkSettings, compare, trunk
+from treebake.stages.trunk_maps import TrunkMapSettings, trunk_maps
 from treebake.stages.twigs import TwigSettings, twigs
 from treebake.verify import SCALE, cameras, silhouette_iou
 from treebake.workspace import Result, Workspace
@@ -53,6 +54,7 @@ class _Plan:
     twigs: TwigSettings
     textures: BillboardSettings
     trunk: TrunkSettings
+    maps: TrunkMapSettings
 
 
 def bake_levels(
@@ -84,7 +86,8 @@ def bake_levels(
     levels: list[BakedLevel] = []
     for number, (plan, clusters) in enumerate(chosen, 1):
         sparse = work.run(twigs, plan.twigs, parts, name=f"twigs_{number}")
-        left = work.run(trunk, plan.trunk, sparse.part("trunk"), name=f"trunk_{number}").value
+        solid_left = work.run(trunk, plan.trunk, sparse.part("trunk"), name=f"trunk_{number}")
+        left = solid_left.value
         cloud = BillboardCloud(split.foliage, np.zeros(0, np.int32))
         if clusters and planes:
             placed = _placed(settings, clusters, tree.value, sparse.value, split.leaves.count)
@@ -96,7 +99,8 @@ def bake_levels(
         pieces = sparse.value.foliage.select(leaves.is_twig[leaves.face_leaf])
         kept = silhouette_iou(split.trunk, join(left, pieces), views, plan.height) if split.trunk.triangles else None
         area = compare(split.trunk, left, pieces).silhouette_kept
-        levels.append(BakedLevel(cloud, left, plan.height, kept, area))
+        mapped = work.run(trunk_maps, plan.maps, solid_left, parts.part("trunk"), name=f"trunk_maps_{number}").value
+        levels.append(BakedLevel(cloud, mapped.mesh, plan.height, kept, area, mapped.maps))
     return tuple(levels)
 
 
@@ -133,6 +137,7 @@ def _plan(settings: "Settings", number: int, whole: Mesh, radius: float, leaf: f
             height=height,
         ),
         trunk=TrunkSettings(budget),
+        maps=replace(settings.trunk_maps, height=height),
     )
 
 

@@ -480,6 +480,28 @@ class Impostor:
     standard: Mesh
 
 
+@dataclass(frozen=True)
+class TrunkMaps:
+    """How a simplified trunk shows the full one's surface.
+
+    kind: "tiled", by the source's own textures, which repeat, or whose trunk was not simplified; "unique", by maps of
+    its own; "none", it has no maps. source_density, density: texels per unit of the source's repeating textures, 0
+    where none repeat, and of maps of its own.
+    """
+
+    kind: str
+    source_density: float = 0.0
+    density: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class MappedTrunk:
+    """A simplified trunk with its maps, and how they were chosen."""
+
+    mesh: Mesh
+    maps: TrunkMaps
+
+
 @dataclass(frozen=True, eq=False)
 class BakedLevel:
     """A coarser level of the cloud and the trunk, either of which may be empty.
@@ -494,6 +516,7 @@ class BakedLevel:
     height: int
     trunk_iou: float | None = None
     silhouette_kept: float = 1.0
+    trunk_maps: TrunkMaps = TrunkMaps("none")
 
 
 @dataclass(frozen=True, eq=False)
@@ -513,6 +536,7 @@ class BakedTree:
     views: Impostor | None = None
     levels: tuple[BakedLevel, ...] = ()
     translucency: Translucency | None = None
+    trunk_maps: TrunkMaps = TrunkMaps("none")
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,7 @@
 
     load -> split -> occlusion -> translucency -> normals
             -> twigs -> cluster, twice                      `cluster_tree`: a mesh file into the work folder
-            -> views, indirect, slicings, billboards, trunk
+            -> views, indirect, slicings, billboards, trunk, trunk_maps
             -> hierarchy -> a cloud and a trunk for each level (`levels.py`)
             -> ladder, or smallest -> write_asset           `bake_textures`: the work folder into the published one
     read_asset -> scatter -> write_forest                   `plant_forest`: published folders into one file
@@ -51,6 +51,7 @@ from treebake.model import (
     Mesh,
     SlicedFoliage,
     Tree,
+    TrunkMaps,
 )
 from treebake.morph import morph_to_next
 from treebake.settings import Settings
@@ -65,6 +66,7 @@ from treebake.stages.slicings import slicings
 from treebake.stages.split import split
 from treebake.stages.translucency import translucency
 from treebake.stages.trunk import TrunkReport, compare, trunk
+from treebake.stages.trunk_maps import trunk_maps
 from treebake.stages.twigs import twigs
 from treebake.stages.views import views
 from treebake.verify import (
@@ -134,6 +136,7 @@ class Baked:
     folder: Path
     trunk: TrunkReport
     silhouettes_kept: tuple[float, ...]
+    trunk_maps: TrunkMaps  # of the finest level
 
 
 def cluster_tree(path: Path, work: Workspace, settings: Settings) -> Clustered:
@@ -235,9 +238,10 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
             layers = work.run(indirect, settings.indirect, own, thick_planes).value
         if settings.slicings.enabled:
             sparse = work.run(twigs, settings.slicing_twigs, parts, name="slicing_twigs")
-            thick = work.run(trunk, settings.slicing_trunk, sparse.part("trunk"), name="slicing_trunk").value
+            thick = work.run(trunk, settings.slicing_trunk, sparse.part("trunk"), name="slicing_trunk")
+            mapped = work.run(trunk_maps, settings.trunk_maps, thick, parts.part("trunk"), name="slicing_trunk_maps")
             sliced = work.run(slicings, settings.slicings, sparse).value
-            sliced = replace(sliced, solid=join(thick, sliced.solid))
+            sliced = replace(sliced, solid=join(mapped.value.mesh, sliced.solid))
         clusters = work.read("cluster", command, leaves)
         cloud = work.run(billboards, settings.textures, tree, clusters).value
         if settings.levels.enabled:
@@ -245,17 +249,19 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
             cloud = morph_to_next(cloud, planes.value, 0)
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
-    solid = work.run(trunk, settings.trunk, tree.part("trunk")).value
+    solid = work.run(trunk, settings.trunk, tree.part("trunk"))
+    finest = work.run(trunk_maps, settings.trunk_maps, solid, parts.part("trunk")).value
     return BakedTree(
         name=source.name,
         cloud=cloud,
         indirect=layers,
-        trunk=solid,
+        trunk=finest.mesh,
+        trunk_maps=finest.maps,
         slicings=sliced,
         views=impostor,
         source_triangles=source.triangles,
         source_bounds=source.bounds,
-        levels=bake_levels(work, settings, parts, tree, planes, solid) if settings.levels.enabled else (),
+        levels=bake_levels(work, settings, parts, tree, planes, finest.mesh) if settings.levels.enabled else (),
         translucency=parts.value.translucency,
     )
 
@@ -272,7 +278,7 @@ def _publish(work: Workspace, baked: BakedTree, folder: Path, shared: Path | Non
     tree: Tree = work.read("twigs", command).value
     pieces = tree.foliage.select(tree.leaves.is_twig[tree.leaves.face_leaf])
     finest = compare(parts.value.trunk, baked.trunk, pieces)
-    return Baked(folder, finest, tuple(level.silhouette_kept for level in baked.levels))
+    return Baked(folder, finest, tuple(level.silhouette_kept for level in baked.levels), baked.trunk_maps)
 
 
 def _measured(
@@ -315,11 +321,12 @@ def _only(baked: BakedTree, kept: Rung, level: int) -> tuple[BakedTree, Ladder]:
     """
     tables = kept.representation in ("leaves", "indirect")
     number = kept.level if kept.level is not None else 0 if tables else level
-    one = (BakedLevel(baked.cloud, baked.trunk, 0), *baked.levels)[number]
+    one = (BakedLevel(baked.cloud, baked.trunk, 0, trunk_maps=baked.trunk_maps), *baked.levels)[number]
     only = replace(
         baked,
         cloud=replace(one.cloud, mesh=replace(one.cloud.mesh, morph=None)),
         trunk=one.trunk,
+        trunk_maps=one.trunk_maps,
         levels=(),
         indirect=baked.indirect if tables else None,
         slicings=baked.slicings if kept.representation == "slicings" else None,

@@ -32,6 +32,7 @@ from treebake.stages.slicings import SlicingSettings
 from treebake.stages.split import SplitSettings
 from treebake.stages.translucency import TranslucencySettings
 from treebake.stages.trunk import TrunkSettings
+from treebake.stages.trunk_maps import TrunkMapSettings
 from treebake.stages.twigs import TwigSettings
 from treebake.stages.views import ViewSettings
 from treebake.verify import BudgetSettings, LadderSettings, LightSettings, VerifySettings, WalkSettings
@@ -69,6 +70,7 @@ class Settings:
     indirect_cluster: ClusterSettings = field(default_factory=_few_thick_planes)
     indirect: IndirectSettings = field(default_factory=IndirectSettings)
     trunk: TrunkSettings = field(default_factory=TrunkSettings)
+    trunk_maps: TrunkMapSettings = field(default_factory=TrunkMapSettings)
     levels: LevelSettings = field(default_factory=LevelSettings)
     slicing_twigs: TwigSettings = field(default_factory=_most_branches_sliced)
     slicing_trunk: TrunkSettings = field(default_factory=_thick_branches)

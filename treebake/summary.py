@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from treebake.asset import Asset, LeftOut, Rung, read_asset
-from treebake.model import Forest, Mesh, Tree
+from treebake.model import Forest, Mesh, Tree, TrunkMaps
 from treebake.stages.cluster import cluster_statistics
 
 if TYPE_CHECKING:
@@ -74,8 +74,19 @@ def of_clustered(done: "Clustered") -> Facts:
 
 def of_baked(baked: "Baked") -> Facts:
     """What `treebake textures` prints: the manifest, and how much of the trunk is left."""
-    trunk = {**asdict(baked.trunk), "silhouette_kept_by_levels": [round(kept, 4) for kept in baked.silhouettes_kept]}
+    trunk = {
+        **asdict(baked.trunk),
+        "silhouette_kept_by_levels": [round(kept, 4) for kept in baked.silhouettes_kept],
+        "maps": _phrase(baked.trunk_maps),
+    }
     return {**of_asset(baked.folder), "trunk": trunk}
+
+
+def _phrase(maps: TrunkMaps) -> str:
+    if maps.kind == "none":
+        return maps.kind
+    source = f"{maps.source_density:.3g}" if maps.source_density else "no repeating"
+    return f"{maps.kind}: the source has {source} texels per unit, a map of its own {maps.density:.3g}"
 
 
 def of_asset(folder: Path) -> Facts:

@@ -38,6 +38,8 @@ _GROUND = (
     "placements",
     "lookup",
     "leaf_cards",
+    "nearest",
+    "unwrap",
     "images",
     "compression",
     "pictures",

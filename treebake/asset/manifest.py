@@ -35,7 +35,7 @@ class Level:
     """One self-contained GLB with standard materials. bytes: of the file. min_height: the height on screen, in pixels
     of the tree's bounding sphere, from which on this level is meant to be drawn. trunk_iou: of the silhouettes of a
     coarser level's trunk and the source's, at the greatest height it is for. displacement: how far the points of leaves
-    were moved into its planes, root mean square, in the source's unit.
+    were moved into its planes, root mean square, in the source's unit. trunk_maps: whose the trunk's maps are.
     """
 
     file: str
@@ -47,6 +47,7 @@ class Level:
     min_height: int
     trunk_iou: float | None = None
     displacement: float = 0.0
+    trunk_maps: str = "none"  # "tiled", the source's own; "unique", baked for it; "none"
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,7 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None, ladde
     a file of their own. ladder: what was measured of it.
     Raises WorkspaceError where a file cannot be written, or where there is nothing to write.
     """
-    finest = BakedLevel(tree.cloud, tree.trunk, 0)
+    finest = BakedLevel(tree.cloud, tree.trunk, 0, trunk_maps=tree.trunk_maps)
     if not _nodes(finest):
         raise WorkspaceError(f"{tree.name} has neither foliage nor trunk left; there is nothing to publish")
     # A level reaches down to where the next one begins, which is measured or else what that was made for.
@@ -62,7 +62,8 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None, ladde
     for number, (level, height) in enumerate(zip((finest, *tree.levels), drawn_from, strict=True)):
         levels.append(_write_level(folder / f"{tree.name}_LOD{number}.glb", level, height))
         prefix = f"{tree.name}_LOD{number}" if number else tree.name
-        images += [_write_image(folder, prefix, texture, space) for texture, space in _maps(level.cloud.mesh)]
+        maps = _maps(level.cloud.mesh) + _trunk_maps(level)
+        images += [_write_image(folder, prefix, texture, space) for texture, space in maps]
     full = folder / f"{tree.name}.glb"
     extras = {} if tree.indirect is None else {"treebake": indirect_extras(tree.indirect)}
     write_glb(full, [_bound((finest, *tree.levels), levels)], extras)
@@ -141,6 +142,7 @@ def _write_level(path: Path, level: BakedLevel, min_height: int) -> Level:
         min_height=min_height,
         trunk_iou=None if level.trunk_iou is None else round(level.trunk_iou, 4),
         displacement=round(level.cloud.displacement, 6),
+        trunk_maps=level.trunk_maps.kind,
     )
 
 
@@ -212,6 +214,18 @@ def _maps(mesh: Mesh) -> list[tuple[Texture, str]]:
     material = mesh.materials[0]
     maps = [(material.color_map, "sRGB"), (material.normal_map, "linear"), (material.occlusion_map, "linear")]
     return [(texture, space) for texture, space in maps if texture is not None]
+
+
+def _trunk_maps(level: BakedLevel) -> list[tuple[Texture, str]]:
+    """The maps that were baked for the trunk, with their colour spaces; one that serves twice is there once."""
+    if not level.trunk.triangles:
+        return []
+    material = level.trunk.materials[level.trunk.face_material[0]]
+    maps = [(material.occlusion_map, "linear")] if level.trunk.occlusion_uvs is not None else []
+    if level.trunk_maps.kind == "unique":
+        others = material.normal_map, material.occlusion_map, material.roughness_map
+        maps = [(material.color_map, "sRGB"), *((texture, "linear") for texture in others)]
+    return list({id(texture): (texture, space) for texture, space in maps if texture is not None}.values())
 
 
 def _write_image(folder: Path, name: str, texture: Texture, space: str) -> Image:

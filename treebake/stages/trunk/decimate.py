@@ -6,15 +6,13 @@ and 1,000 triangles, pyfqmr 95, 90 and 75 %, meshoptimizer 96, 90 and 74 %.
 
 import fast_simplification
 import numpy as np
-from scipy.spatial import cKDTree
 
 from treebake.model import Doubles, Longs, Mesh
+from treebake.nearest import Triangles, barycentric
 from treebake.tubes.surface import Surface, find_surface
 
 _AGGRESSION = (7.0, 10.0)  # fast-simplification's haste, tried in turn: at 10 it always arrives, and loses more area
 _INSET = 0.1  # a corner's attributes come from where it lies this far towards its face's centre
-_PLACES = np.array([[1, 1, 1], [4, 1, 1], [1, 4, 1], [1, 1, 4], [1, 4, 4], [4, 1, 4], [4, 4, 1]], np.float64)
-_SAMPLES = _PLACES / _PLACES.sum(axis=1, keepdims=True)  # barycentric, where a source face is looked for
 _UV_STEPS, _NORMAL_STEPS = 4096, 64  # vertices nearer than this part of a tile, of a unit, are shared
 
 
@@ -44,26 +42,22 @@ def decimate(mesh: Mesh, triangles: int) -> Mesh:
 def _bare(mesh: Mesh, surface: Surface, points: Doubles, faces: Longs) -> Mesh:
     """The simplified faces as a mesh with the source's attributes."""
     source = surface.positions[surface.faces]
-    tree = cKDTree((_SAMPLES @ source).reshape(-1, 3))
-
-    def nearest(places: Doubles) -> Longs:
-        return np.asarray(tree.query(places)[1], np.int64) // len(_SAMPLES)
-
+    nearest = Triangles(source).nearest_point
     corners = points[faces]
     middles = corners.mean(axis=1)
-    home = nearest(middles)
+    home, _ = nearest(middles)
     inner = corners + _INSET * (middles[:, None] - corners)
-    face = nearest(inner.reshape(-1, 3))
+    face, _ = nearest(inner.reshape(-1, 3))
     raw = mesh.faces[surface.ids]
     uv, normal = mesh.uvs[raw].astype(np.float64), mesh.normals[raw].astype(np.float64)
 
-    within = _barycentric(source[face], corners.reshape(-1, 3))
+    within = barycentric(source[face], corners.reshape(-1, 3))
     within = np.maximum(within, 0) / np.maximum(within, 0).sum(axis=1, keepdims=True)
     uvs = np.einsum("ni,nij->nj", within, uv[face]).reshape(-1, 3, 2)
     normals = np.einsum("ni,nij->nj", within, normal[face])
     sky = None if mesh.occlusion is None else np.einsum("ni,ni->n", within, mesh.occlusion[raw[face]])
-    here = np.einsum("ni,nij->nj", _barycentric(source[home], middles), uv[home])[:, None]
-    around = _barycentric(np.repeat(source[home], 3, axis=0), corners.reshape(-1, 3))
+    here = np.einsum("ni,nij->nj", barycentric(source[home], middles), uv[home])[:, None]
+    around = barycentric(np.repeat(source[home], 3, axis=0), corners.reshape(-1, 3))
     straight = np.einsum("ni,nij->nj", around, np.repeat(uv[home], 3, axis=0)).reshape(-1, 3, 2)
     uvs += np.rint(here - uvs)
     # A corner beyond a seam that is not whole tiles wide: run on as the face's middle does.
@@ -86,17 +80,6 @@ def _bare(mesh: Mesh, surface: Surface, points: Doubles, faces: Longs) -> Mesh:
         nodes=mesh.nodes,
         occlusion=None if sky is None else sky[first].astype(np.float32),
     )
-
-
-def _barycentric(triangle: Doubles, place: Doubles) -> Doubles:
-    """(N, 3) weights of the corners (N, 3, 3) at the places (N, 3), projected onto the triangle's plane."""
-    a, b = triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0]
-    normal = np.cross(a, b)
-    square = np.einsum("ij,ij->i", normal, normal)
-    local = place - triangle[:, 0]
-    second = np.einsum("ij,ij->i", np.cross(local, b), normal) / square
-    third = np.einsum("ij,ij->i", np.cross(a, local), normal) / square
-    return np.stack([1 - second - third, second, third], axis=1)
 
 
 def _largest(mesh: Mesh, triangles: int) -> Mesh:
