@@ -391,7 +391,7 @@ def test_interrupt_is_one_line_and_the_next_run_goes_on(
     assert stopped.lines[-1].startswith("treebake: interrupted")
     resumed = treebake("cluster", tree, "-o", tmp_path / "work")
     assert resumed.code == 0
-    assert skipped(resumed) == ["split", "translucency", "normals", "twigs"]
+    assert skipped(resumed) == [*SPLIT, "twigs"]
 
 
 def test_a_real_ctrl_c_leaves_no_half_written_file(tmp_path: Path) -> None:

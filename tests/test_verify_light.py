@@ -111,6 +111,7 @@ def test_progress_ends_at_the_number_of_pictures() -> None:
         ("suns", 0),
         ("heights", {"cloud": 8}),
         ("heights", {"clouds": 64}),
+        ("directions", 7),
         ("shadow_texels", 32),
         ("elevation", 0.0),
         ("azimuths", 0),

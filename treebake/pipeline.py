@@ -106,6 +106,7 @@ LOG = logging.getLogger("treebake")
 T = TypeVar("T", Rung, LeftOut)
 
 _PLAIN, _PARTS = "translucency", "normals"  # the names of the results before normals turn, and before twigs move
+_FINE_TEXELS, _OTHER_SEED = 1024, 1  # of the occlusion that a source is judged with
 _INDIRECT_CLUSTER = "indirect_cluster"  # the name of the second clustering's result
 
 
@@ -474,7 +475,7 @@ def verify_light(
     wanted = replace(settings.verify, representations=tuple(name for name in asked if name in heights))
     judged = representations(asset, set(heights.values()), wanted)
     views = cameras(mesh, settings.verify.elevations, settings.verify.azimuths)
-    crown, lit = _crown(tree), join(tree.trunk, tree.foliage)
+    crown, lit = _crown(tree), _in_full_light(tree, asset, settings)
     total, done = len(judged) * pictures_of(len(views), settings.light), 0
 
     def advance(more: int) -> None:
@@ -489,6 +490,15 @@ def verify_light(
     into = report or folder / "report"
     write_light_report(found, into)
     return found, into
+
+
+def _in_full_light(tree: Tree, asset: Asset, settings: Settings) -> Mesh:
+    """A source with what its vertices see of the sky, more finely than it was baked with, and the light through leaves
+    that was published."""
+    looked = replace(settings.occlusion, directions=settings.light.directions, texels=_FINE_TEXELS, seed=_OTHER_SEED)
+    through = replace(settings.translucency, enabled=asset.manifest.translucency is not None)
+    lit = translucency(occlusion(tree, looked), through)
+    return join(lit.trunk, lit.foliage)
 
 
 def _crown(tree: Tree) -> Crown | None:
