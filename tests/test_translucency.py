@@ -55,10 +55,17 @@ def mixed(first: Material, second: Material, areas: tuple[float, float] = (1.0, 
 )
 def test_a_slender_leaf_is_a_needle(along: float, kind: str, expected: Transmission, origin: str) -> None:
     white = replace(GREEN, base_color=(1, 1, 1, 1))
-    made = translucency(stretched(leaf_tree([(0, 0, 0)], material=white), along), TranslucencySettings(leaf_type=kind))
+    tree = leaf_tree([(0, 0, 0), (40, 0, 0)], material=white)
+    made = translucency(stretched(tree, along), TranslucencySettings(leaf_type=kind))
     assert made.foliage.materials[0].transmission == expected
     assert made.translucency
     assert (made.transmission, made.translucency.origin) == (expected, origin)
+
+
+def test_slender_leaves_that_are_long_are_no_needles() -> None:
+    palm = translucency(stretched(leaf_tree([(0, 0, 0), (3, 0, 0)]), 20.0), AUTO).translucency
+    assert palm
+    assert palm.origin == "broad leaf"
 
 
 def test_the_tint_is_a_factor_on_the_base_colour_in_the_material_and_relative_to_it_in_the_mean() -> None:

@@ -25,7 +25,8 @@ _DEFAULTS = {
     "broad leaf": Transmission(0.5, (0.8, 1.0, 0.5)),
     "needle": Transmission(0.18, (0.7, 1.0, 0.45)),
 }
-_NEEDLE = 0.1  # area over squared length of a needle, at most: of an ellipse, eight times as long as wide
+_SLENDER = 0.1  # area over squared length of a needle, at most: of an ellipse, eight times as long as wide
+_SHORT = 0.03  # length of a needle over the crown's, at most; the leaflets of a palm are as slender, and longer
 _DARKEST = 1e-4  # of a mean colour on which another is a factor
 
 
@@ -40,8 +41,9 @@ class TranslucencySettings:
 def translucency(tree: Tree, settings: TranslucencySettings) -> Tree:
     """Give every material of leaves a transmission, and the tree the mean of them. O(faces + texels).
 
-    Needles are the leaves of a material that have, together, less area than 0.1 times their squared lengths; a leaf on
-    a card is as broad as the card. Materials of twig pieces alone, or of the trunk, get none.
+    Needles are the leaves of a material that have, together, less area than 0.1 times their squared lengths, and in the
+    mean a length below 0.03 of the crown's greatest extent; a leaf on a card is as broad as the card. Materials of twig
+    pieces alone, or of the trunk, get none.
     Raises SettingsError where a setting is out of range.
     """
     known = settings.leaf_type in ("auto", "broad", "needle")
@@ -82,7 +84,8 @@ def _is_needle(tree: Tree, material: int, leaf_type: str) -> bool:
         return leaf_type == "needle"
     leaves = np.unique(tree.leaves.face_leaf[tree.foliage.face_material == material])
     leaves = leaves[~tree.leaves.is_twig[leaves]]
-    return bool(tree.leaves.areas[leaves].sum() < _NEEDLE * ((2 * tree.leaves.radii[leaves]) ** 2).sum())
+    lengths, crown = 2 * tree.leaves.radii[leaves], float(np.ptp(tree.foliage.bounds, axis=0).max())
+    return bool(tree.leaves.areas[leaves].sum() < _SLENDER * (lengths**2).sum() and lengths.mean() < _SHORT * crown)
 
 
 def _tinted(default: Transmission, material: Material) -> Transmission:
