@@ -474,7 +474,7 @@ def verify_light(
     asked = settings.verify.representations or tuple(heights)
     wanted = replace(settings.verify, representations=tuple(name for name in asked if name in heights))
     judged = representations(asset, set(heights.values()), wanted)
-    views = cameras(mesh, settings.verify.elevations, settings.verify.azimuths)
+    views = cameras(mesh, settings.verify.elevations, settings.verify.azimuths)[SCALE]
     crown, lit = _crown(tree), _in_full_light(tree, asset, settings)
     total, done = len(judged) * pictures_of(len(views), settings.light), 0
 

@@ -1,7 +1,7 @@
 """What leaves let through, where their source does not say.
 
-Hemispherical reflectance and transmittance at red, green and blue, rounded, of the range that leaf spectra (LOPEX93,
-and PROSPECT's fits to them) have:
+Hemispherical reflectance and transmittance at red, green and blue, rounded; the broad leaf's are typical of measured
+spectra ([HJA95]: LOPEX93), the needle's are assumed:
 
     broad leaf   0.05 0.10 0.04   0.04  0.10 0.02
     needle       0.04 0.09 0.03   0.006 0.02 0.003

@@ -29,26 +29,24 @@ class Shaded:
 
     def picture(self, view: View, light: Light, *, shadows: bool = True) -> Picture:
         """What the view sees; without shadows the sun shines on all that is turned to it."""
-        if shadows:
-            self._cast(light, view)
-        return self._drawing.picture(view, light, self._shadows if shadows else self._none)
+        if not shadows or not any(light.sun):
+            return self._drawing.picture(view, light, self._none)
+        self._cast(light, view)
+        return self._drawing.picture(view, light, self._shadows)
 
-    def from_sun(self, light: Light) -> Floats:
-        """(h, w) float32, how far behind the first plane that touches the points the sun's light is stopped.
+    def shadow(self, light: Light, ground: "Ground") -> tuple[Floats, Floats]:
+        """What of the sun does not reach the ground, and where it is stopped.
 
-        Parallel, in the tree's unit, infinite where nothing stops it.
+        Gives (h, w) float32, 0 to 1, from above; and (texels, texels) float32 as the sun sees it, in parallel: how far
+        behind the first plane that touches the points, in the tree's unit, infinite where nothing stops it.
         """
         view = self._cast(light, None)
         depths = self._shadows.depths()
-        return np.where(depths < 1, depths * np.float32(2 / np.linalg.norm(view.to_clip[2, :3])), np.inf)
-
-    def on_ground(self, ground: "Ground", light: Light) -> Floats:
-        """(h, w) float32, which part of the sun does not reach the ground, from 0 to 1."""
-        self._cast(light, None)
+        stopped = np.where(depths < 1, depths * np.float32(2 / np.linalg.norm(view.to_clip[2, :3])), np.inf)
         sun = replace(light, sun=(1.0, 1.0, 1.0), sky=_DARK, ground=_DARK)
         lit = ground.drawing.picture(ground.view, sun, self._shadows).color[..., 0]
         shade = 1 - lit / light.sun_direction[1]
-        return np.where(shade > _ROUNDING, np.minimum(shade, 1), 0).astype(np.float32)
+        return np.where(shade > _ROUNDING, np.minimum(shade, 1), 0).astype(np.float32), stopped
 
     def wireframe(self, view: View) -> Picture:
         """The edges of all triangles, black."""

@@ -50,11 +50,10 @@ def shadows(
     grounds = []
     for light in suns:
         with closing(Ground(points, light, ground)) as below:
-            ours, theirs = (each.on_ground(below, light) for each in (source, candidate))
+            (ours, one), (theirs, other) = (each.shadow(light, below) for each in (source, candidate))
         grounds.append((ours, theirs))
         common += float(np.minimum(ours, theirs).sum(dtype=np.float64))
         union += float(np.maximum(ours, theirs).sum(dtype=np.float64))
-        one, other = (each.from_sun(light) for each in (source, candidate))
         here, there = np.isfinite(one), np.isfinite(other)
         stopped, either = stopped + int((here & there).sum()), either + int((here | there).sum())
         between.append(np.abs(one[here & there] - other[here & there]))
