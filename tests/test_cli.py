@@ -232,7 +232,7 @@ def skipped(result: Outcome) -> list[str]:
 def test_second_bake_skips_the_stages_and_says_so(tmp_path: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     again = treebake("bake", tree, "-o", tmp_path, *COARSE)
-    foliage = ["split", "twigs", "cluster", "indirect_cluster", "views", "indirect"]
+    foliage = ["split", "occlusion", "twigs", "cluster", "indirect_cluster", "views", "indirect"]
     assert skipped(again) == [*foliage, "slicing_twigs", "slicing_trunk", "slicings", "billboards", "trunk"]
     forced = treebake("bake", tree, "-o", tmp_path, *COARSE, "--force")
     assert "up to date" not in forced.err
@@ -245,10 +245,19 @@ def test_only_what_depends_on_a_setting_runs_again(
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--trunk-triangles", 100)
     sliced = ["slicing_twigs", "slicing_trunk", "slicings"]
     # twigs ran, with the same outcome
-    assert skipped(again) == ["split", "cluster", "indirect_cluster", "views", "indirect", *sliced, "billboards"]
+    assert skipped(again) == [
+        "split",
+        "occlusion",
+        "cluster",
+        "indirect_cluster",
+        "views",
+        "indirect",
+        *sliced,
+        "billboards",
+    ]
     again = treebake("bake", tree, "-o", tmp_path, *COARSE, "--set", "indirect_cluster.billboards=3")
     # the trunk's budget, too, is another again
-    assert skipped(again) == ["split", "cluster", "views", *sliced, "billboards"]
+    assert skipped(again) == ["split", "occlusion", "cluster", "views", *sliced, "billboards"]
 
 
 def test_slicings_and_views_run_again_by_their_own_settings(
@@ -256,10 +265,21 @@ def test_slicings_and_views_run_again_by_their_own_settings(
 ) -> None:
     treebake("bake", tree, "-o", tmp_path, *COARSE)
     trunk = ("--set", "slicing_trunk.triangles=100")  # the budget of both their twigs and their trunk
-    rest = ["split", "twigs", "cluster", "indirect_cluster", "views", "indirect", "slicings", "billboards", "trunk"]
+    rest = [
+        "split",
+        "occlusion",
+        "twigs",
+        "cluster",
+        "indirect_cluster",
+        "views",
+        "indirect",
+        "slicings",
+        "billboards",
+        "trunk",
+    ]
     assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk)) == rest
     fewer = ("--set", "slicings.slices=2", "--set", "views.side=2")
-    rest = ["split", "twigs", "cluster", "indirect_cluster", "indirect", "slicing_twigs", "slicing_trunk"]
+    rest = ["split", "occlusion", "twigs", "cluster", "indirect_cluster", "indirect", "slicing_twigs", "slicing_trunk"]
     assert skipped(treebake("bake", tree, "-o", tmp_path, *COARSE, *trunk, *fewer)) == [*rest, "billboards", "trunk"]
 
 
@@ -356,7 +376,7 @@ def test_interrupt_is_one_line_and_the_next_run_goes_on(
     assert stopped.lines[-1].startswith("treebake: interrupted")
     resumed = treebake("cluster", tree, "-o", tmp_path / "work")
     assert resumed.code == 0
-    assert [line.split()[0] for line in resumed.lines if line.endswith("up to date")] == ["split", "twigs"]
+    assert [line.split()[0] for line in resumed.lines if line.endswith("up to date")] == ["split", "occlusion", "twigs"]
 
 
 def test_a_real_ctrl_c_leaves_no_half_written_file(tmp_path: Path) -> None:
@@ -370,7 +390,7 @@ def test_a_real_ctrl_c_leaves_no_half_written_file(tmp_path: Path) -> None:
     assert process.returncode == 130, rest
     assert "Traceback" not in rest
     written = {path.name for path in (tmp_path / "out").rglob("*") if path.is_file()}
-    stages = {"split", "twigs", "cluster", "indirect_cluster", "billboards", "indirect", "trunk"}
+    stages = {"split", "occlusion", "twigs", "cluster", "indirect_cluster", "billboards", "indirect", "trunk"}
     stages |= {"slicing_twigs", "slicing_trunk", "slicings", "views"}
     assert written <= {"source.npz"} | {f"{stage}.npz" for stage in stages}
 
