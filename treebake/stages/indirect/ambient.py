@@ -1,8 +1,8 @@
 """The ambient table: the sky that each leaf sees, at the corners of its rectangle ([GPSS07] 5.2, Figure 11).
 
 Four corners cannot tell all: fitted to what 1,024 rays tell, they differ at the vertices by 0.034 of the sky on the
-chestnut (10 vertices a leaf), 0.016 on the oak (4) and 0.039 on the birch (6), of which 0.012 is the rays' own noise. As
-baked, by the ridge, at the vertices and at the corners:
+chestnut (10 vertices a leaf), 0.016 on the oak (4) and 0.039 on the birch (6), of which 0.012 is the rays' own noise.
+As baked, by the ridge, at the vertices and at the corners:
 
 | ridge | chestnut | oak | birch |
 |---|---|---|---|
