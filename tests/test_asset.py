@@ -70,6 +70,7 @@ def cards() -> Mesh:
         "foliage",
         color_map=Texture("foliage_color", color),
         normal_map=Texture("foliage_normal", normal),
+        occlusion_map=Texture("foliage_occlusion", np.full((2, 4, 4), (90, 90, 90, 255), np.uint8)),
         alpha_mode=AlphaMode.MASK,
         alpha_cutoff=0.4,
         double_sided=True,

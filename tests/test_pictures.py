@@ -90,10 +90,10 @@ def test_a_picture_fits_with_its_gutter_or_not_at_all(size: tuple[int, int], lim
 
 
 def test_equal_squares_leave_nothing_empty() -> None:
-    packed = pack_pictures(pictures(*[(16, 16)] * 16), 2, 64)
+    packed = pack_pictures(pictures(*[(12, 12)] * 16), 2, 64)
     assert packed is not None
     assert packed[1] == (64, 64)
-    assert pack_pictures(pictures(*[(16, 16)] * 17), 2, 64) is None
+    assert pack_pictures(pictures(*[(12, 12)] * 17), 2, 64) is None
 
 
 def test_one_wide_picture_gets_an_atlas_as_flat_as_itself() -> None:
@@ -235,11 +235,11 @@ def test_mips_follow_from_the_gutter(gutter: int, mips: int) -> None:
 
 @pytest.mark.parametrize("gutter", [1, 2, 4, 8])
 def test_no_mip_that_is_kept_shows_a_neighbour(gutter: int) -> None:
-    sizes = pictures(*[(16, 16)] * 9)
+    sizes = pictures(*[(12, 12)] * 9)
     packed = pack_pictures(sizes, gutter, 1024)
     assert packed is not None
     origins, size = packed
-    full, clear = photo(np.ones((16, 16))), photo(np.zeros((12, 12)))
+    full, clear = photo(np.ones((12, 12))), photo(np.zeros((12, 12)))
     for alone in range(9):
         parts = [whole(clear if i == alone else full, *origin) for i, origin in enumerate(origins.tolist())]
         atlas = compose(parts, size, gutter, "views")

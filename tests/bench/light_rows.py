@@ -25,8 +25,8 @@ BURIED = 0.01  # of the sky: a vertex that sees less lies inside a branch, where
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Mean absolute differences of the part of the sky from what rays tell: of vertices of leaves, of all their vertices
-    with those inside a branch, of the corners that are stored.
+    """Mean absolute differences of the part of the sky from what rays tell: of the leaves' vertices, of these and those
+    inside a branch, of the corners that are stored.
     """
 
     vertices: float

@@ -1,11 +1,24 @@
-"""The ambient table: the sky that each leaf sees, at the corners of its rectangle ([GPSS07] 5.2, Figure 11)."""
+"""The ambient table: the sky that each leaf sees, at the corners of its rectangle ([GPSS07] 5.2, Figure 11).
+
+Four corners cannot tell all: fitted to what 1,024 rays tell, they differ at the vertices by 0.034 of the sky on the
+chestnut (10 vertices a leaf), 0.016 on the oak (4) and 0.039 on the birch (6), of which 0.012 is the rays' own noise.
+As baked, by the ridge, at the vertices and at the corners:
+
+| ridge | chestnut | oak | birch |
+|---|---|---|---|
+| 0.02 | 0.035, 0.040 | 0.022, 0.024 | 0.044, 0.065 |
+| 0.1 | 0.036, 0.033 | 0.024, 0.023 | 0.044, 0.055 |
+| 0.3 | 0.037, 0.026 | 0.032, 0.021 | 0.046, 0.044 |
+
+Vertices weighted by the area around them: 0.037, 0.033 on the chestnut and 0.047, 0.068 on the birch, with 0.1.
+"""
 
 import numpy as np
 
 from treebake.model import Bytes, Leaves, Mesh
 from treebake.stages.indirect.poses import Poses
 
-_RIDGE = 0.02  # of a vertex: pulls corners, of which too few vertices tell, to the leaf's mean
+_RIDGE = 0.1  # of a vertex: pulls corners, of which too few vertices tell, to the leaf's mean
 _CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])  # left top, right top, right bottom, left bottom
 
 
