@@ -6,7 +6,7 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from tests.bench import forest_rows, indirect_rows, level_rows, picture_rows  # noqa: F401 - they register their rows
+from tests.bench import forest_rows, indirect_rows, level_rows, picture_rows, trunk_rows  # noqa: F401 - they register their rows
 from tests.bench.rows import ROWS, Measured, NotMeasured
 from tests.bench.runner import Runner
 
