@@ -6,7 +6,14 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from tests.bench import forest_rows, indirect_rows, level_rows, light_rows, picture_rows  # noqa: F401 - they register their rows
+from tests.bench import (  # noqa: F401 - they register their rows
+    forest_rows,
+    indirect_rows,
+    level_rows,
+    light_rows,
+    picture_rows,
+    trunk_rows,
+)
 from tests.bench.rows import ROWS, Measured, NotMeasured
 from tests.bench.runner import Runner
 
