@@ -1,14 +1,13 @@
 """The row of simplified trunks and their maps, A6."""
 
+from tests.bench.rows import BIRCH, Measured, row
+from tests.bench.runner import Runner
 from treebake.meshes import read_mesh
 from treebake.model import Mesh
 from treebake.stages.split import SplitSettings, split
 from treebake.stages.trunk import TrunkSettings, trunk
 from treebake.stages.trunk_maps import TrunkMapSettings, trunk_maps
 from treebake.verify import VerifySettings, verify
-
-from tests.bench.rows import BIRCH, Measured, row
-from tests.bench.runner import Runner
 
 TREES = ("chestnut", "ez_oak_large.glb", BIRCH[0])
 BOUND = 1.1
@@ -22,9 +21,10 @@ def _a6(run: Runner) -> Measured:
         bare = trunk(full, TrunkSettings(full.triangles // 20))
         mapped = trunk_maps(bare, full, TrunkMapSettings())
         values.append(_flip_ratio(full, mapped.mesh))
+        maps = mapped.maps
         notes.append(
-            f"{name}: {bare.triangles} of {full.triangles} triangles, {mapped.maps.kind} ({mapped.maps.source_density:.3g} "
-            f"texels a unit in the source, {mapped.maps.density:.3g} in a map), without maps {_flip_ratio(full, bare):.3f}"
+            f"{name}: {bare.triangles} of {full.triangles} triangles, {maps.kind} ({maps.source_density:.3g} texels a "
+            f"unit in the source, {maps.density:.3g} in a map), without maps {_flip_ratio(full, bare):.3f}"
         )
     return Measured(values, all(value <= BOUND for value in values), "; ".join(notes))
 

@@ -19,10 +19,10 @@ from treebake.tubes.loft import loft
 from treebake.tubes.plan import Plan, cost, keep_area, plan, ring_errors, solid_share
 
 _ROUNDS = 60  # bisections of the tolerance
-# Where tubes must be left out, the parts of the budget that one section with three sides of each of the others may cost.
-# The one is taken that draws the least silhouette wrong. Measured on trunks at a 20th of their triangles (sapling birch,
-# chestnut, ez_oak), FLIP over floor(1 px) at 512 pixels: 1.0 of the budget 2.10, 2.09, 2.83; 0.5 1.06, 1.44, 2.13;
-# 0.3 0.99, 1.48, 1.95; 0.2 1.04, 1.52, 1.97; 0.12 1.13, 1.63, 2.05.
+# Where tubes must be left out, the parts of the budget that one three-sided section of each of the others may take.
+# The one is chosen that draws the least silhouette wrong. Measured on trunks at a 20th of their triangles (sapling
+# birch, chestnut, ez_oak), FLIP over floor(1 px) at 512 pixels: 1.0 of the budget 2.10, 2.09, 2.83; 0.5 1.06, 1.44,
+# 2.13; 0.3 0.99, 1.48, 1.95; 0.2 1.04, 1.52, 1.97; 0.12 1.13, 1.63, 2.05.
 _SECTIONS = (1.0, 0.7, 0.5, 0.4, 0.3, 0.2, 0.14, 0.1)
 _log = logging.getLogger("treebake")
 
@@ -64,10 +64,12 @@ def _fitting_plan(tubes: Tubes, triangles: int) -> Plan:
     if floor.sum() <= triangles:
         return _finest(tubes, errors, triangles)[0]
     radii = tubes.rings.radii
-    silhouette = np.bincount(tubes.tube, tubes.steps * (radii + np.append(radii[1:], 0)), tubes.count)
+    silhouette = np.bincount(tubes.tube, tubes.steps * (radii + np.append(radii[1:], 0)), tubes.count).astype(
+        np.float64
+    )
     largest = np.argsort(-silhouette, kind="stable")
     spent = np.cumsum(floor[largest])
-    drafts = []
+    drafts: list[tuple[float, Plan, Mask]] = []
     for share in _SECTIONS:
         kept = np.zeros(tubes.count, np.bool_)
         kept[largest[spent <= share * triangles]] = True
