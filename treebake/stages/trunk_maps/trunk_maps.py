@@ -32,8 +32,8 @@ class TrunkMapSettings:
     """The maps of trunks.
 
     Measured, FLIP over floor(1 px) at 512 pixels without maps and with sizes of 256, 512, 1024, and bytes of the normal
-    map: a birch of 9,400 triangles 0.993, 0.997, 0.997, 0.996 (0.14, 0.44, 1.2 MB), a palm of 2,359 0.322, 0.272, 0.272,
-    0.272 (0.06, 0.14, 0.14 MB).
+    map: a birch of 9,400 triangles 0.993, 0.997, 0.997, 0.996 (0.14, 0.44, 1.2 MB), a palm of 2,359 0.322, 0.272,
+    0.272, 0.272 (0.06, 0.14, 0.14 MB).
     """
 
     enabled: bool = True  # bake maps of the full trunk for the simplified one
