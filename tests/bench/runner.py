@@ -35,6 +35,7 @@ class Runner:
         self.source = cache(self._source)
         self.asset = cache(self._asset)
         self.scores = cache(self._scores)
+        self.light = cache(self._light)
         self.walked: dict[str, Any] = {}  # what `verify --forest` told
 
     def treebake(self, *arguments: object, allowed: tuple[int, ...] = (0,)) -> Any:
@@ -82,6 +83,13 @@ class Runner:
             "turn": report["turn"],
         }
 
+    def _light(self, name: str, *options: str) -> dict[str, Any]:
+        """How a baked tree takes light, by representation."""
+        found = self.treebake(
+            "verify", self.asset(name, *options), "--source", self.source(name), "--light", *_configs(options)
+        )
+        return dict(found["representations"])
+
     def manifest(self, name: str, *options: str, into: str = "bakes") -> Any:
         """The manifest of a baked tree."""
         return json.loads((self.asset(name, *options, into=into) / "manifest.json").read_text())
@@ -90,12 +98,15 @@ class Runner:
         """R: the median time of one 1024 x 1024 render of the source, plain: one sample a pixel, nothing read back."""
         from treebake.gl.context import context
         from treebake.gl.draw import Drawing
+        from treebake.gl.light import DAYLIGHT, shine
         from treebake.gl.view import ONE_TREE
         from treebake.meshes import read_mesh
         from treebake.verify.cameras import MARGIN, cameras
 
         mesh, gl = read_mesh(self.source(name)), context()
         drawing, target = Drawing(mesh), gl.simple_framebuffer((1024, 1024))
+
+        shine(DAYLIGHT)
 
         def render(view: Any) -> None:
             target.clear()
