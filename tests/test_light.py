@@ -17,6 +17,7 @@ from treebake.gl.shadow import ShadowMap, sun_view
 from treebake.gl.target import Picture
 from treebake.gl.view import ONE_TREE, View
 from treebake.model import AlphaMode, Material, Mesh, Transmission
+from treebake.verify.cameras import Camera
 
 GREY = Material("grey", base_color=(0.2, 0.2, 0.2, 1.0), double_sided=True)
 LEAF = replace(GREY, transmission=Transmission(0.25, (0.1, 0.3, 0.05)))
@@ -70,6 +71,13 @@ def test_light_comes_through_a_leaf_only_with_transmission() -> None:
     assert thin > opaque
 
 
+def test_what_goes_through_may_have_a_colour_that_does_not_come_back() -> None:
+    red = Material("red", (0.0, 0.5, 0.5, 1.0), transmission=Transmission(0.5, (0.6, 0.0, 0.0)), double_sided=True)
+    night = Light(BEHIND.sun_direction, sky=(0.0, 0.0, 0.0), ground=(0.0, 0.0, 0.0))
+    assert np.allclose(full_light(quad(red), night).color[..., :3], twin(red, (0, 0, 1), night), atol=HALF)
+    assert full_light(quad(red), night).color[..., 0].min() > 0.1
+
+
 def test_a_textured_leaf_sends_its_colour_map_times_the_transmission_through() -> None:
     """The base colour is of what comes back alone."""
     image = texture([[(255, 188, 0)]])
@@ -102,6 +110,38 @@ def test_glass_shades_as_much_as_it_covers(alpha: float) -> None:
     with closing(Drawing(quad(glass))) as drawing, closing(ShadowMap(128)) as shadows:
         shadows.cast([Stand(drawing, ONE_TREE)], sun_view(np.array([0.0, 0.0, 1.0]), POINTS, 128))
         assert (shadows.depths() < 1).mean() == pytest.approx(alpha * (124 / 128) ** 2, abs=0.02)
+
+
+@pytest.mark.parametrize("double_sided", [True, False])
+def test_a_roof_that_faces_the_sun_casts_a_shadow(double_sided: bool) -> None:
+    material = replace(GREY, double_sided=double_sided)
+    light = Light(turn_to(30.0, 20.0)[2])
+    with closing(Drawing(quad(material))) as drawing, closing(ShadowMap(64)) as shadows:
+        shadows.cast([Stand(drawing, ONE_TREE)], sun_view(light.sun_direction, POINTS, 64))
+        assert (shadows.depths() < 1).any()
+
+
+@pytest.mark.parametrize("seen", [True, False], ids=["in perspective", "in parallel"])
+@pytest.mark.parametrize("around", [0.0, 50.0, 90.0])
+@pytest.mark.parametrize("elevation", [10.0, 45.0, 80.0])
+@pytest.mark.parametrize("tilt", [0.0, 40.0, 60.0])
+def test_no_strip_shades_itself(tilt: float, elevation: float, around: float, seen: bool) -> None:
+    """Twenty times as long as wide, so that the texels of the map that is fitted to it are no squares."""
+    strip = quad(GREY, x=(-0.05, 0.05))
+    turn = turn_to(tilt - 90.0, 15.0)
+    strip = replace(
+        strip,
+        positions=(strip.positions @ turn).astype(np.float32),
+        normals=(strip.normals @ turn).astype(np.float32),
+    )
+    light = Light(turn_to(elevation, around)[2])
+    night = replace(light, sky=(0.0, 0.0, 0.0), ground=(0.0, 0.0, 0.0))
+    view = Camera(35.0, 30.0, np.zeros(3), 1.2).view(160)
+    points = strip.positions.astype(np.float64)
+    with closing(Drawing(strip)) as drawing, closing(ShadowMap(256)) as shadows, closing(ShadowMap(1)) as none:
+        open_air = drawing.picture(view, night, none).color.sum()
+        shadows.cast([Stand(drawing, ONE_TREE)], sun_view(light.sun_direction, points, 256, view if seen else None))
+        assert drawing.picture(view, night, shadows).color.sum() == pytest.approx(open_air, rel=1e-3)
 
 
 @pytest.mark.parametrize("elevation", [5.0, 10.0, 40.0, 90.0])

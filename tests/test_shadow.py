@@ -37,6 +37,7 @@ def seen(view: View, points: Doubles) -> Doubles:
 def test_all_points_are_inside_and_rays_are_parallel_to_the_light(up: float, around: float, perspective: bool) -> None:
     sun = turn_to(up, around)[2]
     view = sun_view(sun, POINTS, 512, CAMERA.view(256) if perspective else None)
+    assert np.linalg.det(view.to_clip) < 0  # not mirrored, or the faces that look at the sun would be culled
     places = seen(view, POINTS)
     assert (np.abs(places[:, :2]) <= 1 - 2 * 2 / 512 + 1e-6).all()
     assert (np.abs(places[:, 2]) <= 1 + 1e-6).all()

@@ -291,6 +291,8 @@ def verify(
     named = [path for path in (asset, candidate, scene) if path]
     if len(named) != 1:
         raise click.UsageError("name one of: an ASSET folder, a file with --candidate, a forest with --forest")
+    if light and asset is None:
+        raise click.UsageError("--light is about an ASSET; leave out --candidate and --forest, or --light")
     if scene:
         if settings.verify.thresholds or settings.verify.quick:
             raise click.UsageError("a forest has no thresholds and no --quick; set walk.frames and walk.compared")
@@ -301,9 +303,9 @@ def verify(
         return
     if len(sources) != 1:
         raise click.UsageError("an asset or a candidate has one --source")
-    if light:
-        if asset is None or settings.verify.thresholds or settings.verify.quick:
-            raise click.UsageError("--light is about an ASSET, and has no thresholds and no --quick; see [light]")
+    if light and asset:
+        if settings.verify.thresholds or settings.verify.quick:
+            raise click.UsageError("--light has no thresholds and no --quick; set [light] suns, azimuths and hours")
         with terminal.announce("verify") as progress:
             lit, folder = verify_light(asset, sources[0], report, settings, progress)
         facts = {"report": str(folder), "representations": light_facts(lit)}

@@ -64,7 +64,7 @@ from treebake.stages.occlusion import occlusion
 from treebake.stages.scatter import scatter
 from treebake.stages.slicings import slicings
 from treebake.stages.split import split
-from treebake.stages.translucency import translucency
+from treebake.stages.translucency import TranslucencySettings, translucency
 from treebake.stages.trunk import TrunkReport, compare, trunk
 from treebake.stages.trunk_maps import trunk_maps
 from treebake.stages.twigs import twigs
@@ -472,8 +472,10 @@ def verify_light(
     _warn_of_another_source(mesh, source, asset)
     heights = settings.light.heights
     asked = settings.verify.representations or tuple(heights)
-    wanted = replace(settings.verify, representations=tuple(name for name in asked if name in heights))
-    judged = representations(asset, set(heights.values()), wanted)
+    wanted = tuple(name for name in asked if name in heights)
+    if not wanted:
+        raise SettingsError(f"light.heights has none of {', '.join(asked)}; add one, or change verify.representations")
+    judged = representations(asset, set(heights.values()), replace(settings.verify, representations=wanted))
     views = cameras(mesh, settings.verify.elevations, settings.verify.azimuths)[SCALE]
     crown, lit = _crown(tree), _in_full_light(tree, asset, settings)
     total, done = len(judged) * pictures_of(len(views), settings.light), 0
@@ -494,9 +496,12 @@ def verify_light(
 
 def _in_full_light(tree: Tree, asset: Asset, settings: Settings) -> Mesh:
     """A source with what its vertices see of the sky, more finely than it was baked with, and the light through leaves
-    that was published."""
+    that was published.
+    """
     looked = replace(settings.occlusion, directions=settings.light.directions, texels=_FINE_TEXELS, seed=_OTHER_SEED)
-    through = replace(settings.translucency, enabled=asset.manifest.translucency is not None)
+    published = asset.manifest.translucency
+    types = [] if published is None else [kind for kind in ("broad", "needle") if kind in published.origin]
+    through = TranslucencySettings(published is not None, types[0] if len(types) == 1 else "auto")
     lit = translucency(occlusion(tree, looked), through)
     return join(lit.trunk, lit.foliage)
 

@@ -44,6 +44,7 @@ from treebake.model import (
 
 _RGBA8, _SRGB8_ALPHA8 = 0x8058, 0x8C43
 _INDEX_BYTES = 4
+_DARKEST = 1e-9  # nothing in half floats
 _ALPHA_MODES = {AlphaMode.OPAQUE: 0, AlphaMode.MASK: 1, AlphaMode.BLEND: 2}
 _OVERLAYS = {IndirectTextures: IndirectBillboards, LeafCards: LeafTriangles, Slicings: SlicingCards, Views: ViewCards}
 
@@ -249,7 +250,7 @@ class Drawing:
         self._cull(material)
         values = {
             "to_clip": column_major(view.to_clip),
-            "base_color": material.base_color,
+            "base_color": (*_base(material), material.base_color[3]),
             "alpha_mode": _ALPHA_MODES[material.alpha_mode],
             "alpha_cutoff": material.alpha_cutoff,
             "has_normal_map": material.normal_map is not None,
@@ -290,8 +291,13 @@ class Drawing:
 def _on_base_color(material: Material) -> tuple[float, float, float, float]:
     """What a material lets through, as factors on the colour map times the base colour."""
     *color, factor = transmitted(material.transmission)
-    red, green, blue = (c / max(base, 1e-6) for c, base in zip(color, material.base_color[:3], strict=True))
+    red, green, blue = (c / base for c, base in zip(color, _base(material), strict=True))
     return red, green, blue, factor
+
+
+def _base(material: Material) -> tuple[float, ...]:
+    """The base colour, so far above black that another colour can be a factor on it."""
+    return tuple(max(c, _DARKEST) for c in material.base_color[:3])
 
 
 @dataclass(frozen=True, eq=False)

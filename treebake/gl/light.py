@@ -43,6 +43,7 @@ class Light:
 
 
 DAYLIGHT = Light()
+DARK: Color = (0.0, 0.0, 0.0)
 
 
 def transmitted(transmission: Transmission | None) -> tuple[float, float, float, float]:
@@ -53,8 +54,8 @@ def transmitted(transmission: Transmission | None) -> tuple[float, float, float,
 def shine(light: Light, to_shadow: Doubles = _NO_SHADOW, texel: float = 0.0) -> None:
     """Light everything that is drawn from now on.
 
-    to_shadow: (4, 4), from the world to the shadow map's texture coordinates and depth, times w. texel: width of one of
-    its texels, in the world's unit.
+    to_shadow: (4, 4), from the world to the shadow map's texture coordinates and depth, times w. texel: the longer
+    side of one of its texels where w is one, in the world's unit.
     """
     rows = [
         *to_shadow.T,

@@ -33,7 +33,7 @@ def sun_view(towards: Doubles, points: Doubles, texels: int, viewer: View | None
         back, sine = np.eye(3)[np.abs(towards).argmin()], 0.0
     behind = reject(back[None], towards[None])[0]
     behind /= np.linalg.norm(behind)
-    across = np.cross(towards, behind)
+    across = np.cross(behind, towards)
     z = points @ behind  # grows towards the viewer
     w, down = np.array([0.0, 0.0, 0.0, 1.0]), np.array([*behind, 0.0])
     if viewer is not None and sine > 0:
@@ -87,11 +87,15 @@ class ShadowMap:
         """Light everything that is drawn from now on, behind these shadows."""
         to_texture = np.array([[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5], [0, 0, 0.5, 0.5], [0, 0, 0, 1]])
         to_clip = np.eye(4) if self._view is None else self._view.to_clip
-        texel = 0.0 if self._view is None else 1 / self._view.focus
+        texel = 0.0 if self._view is None else self._widest(self._view)
         self._depth.compare_func = "<="
         self._depth.filter = moderngl.LINEAR, moderngl.LINEAR
         self._depth.use(SHADOW_UNIT)
         shine(light, to_texture @ to_clip, texel)
+
+    def _widest(self, view: View) -> float:
+        """Of a texel's sides where w is one: the map is fitted to what casts shadows, each way by itself."""
+        return 2 / self._texels / float(np.linalg.norm(view.to_clip[:2, :3], axis=1).min())
 
     def depths(self) -> Floats:
         """(h, w) float32, the depth of each texel in 0..1, row 0 on top; 1 where there is nothing."""

@@ -17,10 +17,10 @@ from treebake.gl.light import Light
 from treebake.model import Doubles, Floats, Layers, Mesh
 from treebake.verify.cameras import Camera
 from treebake.verify.day import Day, through_day
+from treebake.verify.light_steps import LightSteps, light_steps
 from treebake.verify.relit import Crown, Pair, Relit, relit
 from treebake.verify.shaded import Shaded
 from treebake.verify.shadows import Shadows, shadows
-from treebake.verify.stages_of_light import StagesOfLight, stages_of_light
 from treebake.verify.suns import day, unseen_suns
 
 _ROOM = 0.05  # of the tree's size, by which a candidate's cards may reach beyond its source
@@ -59,17 +59,18 @@ class LightReport:
     suns: tuple[Pair, ...]
     ground: tuple[tuple[Floats, Floats], ...]
     hours: tuple[Pair, ...]
-    steps: StagesOfLight
+    steps: LightSteps
 
 
 def check_light(settings: LightSettings) -> None:
     """Raise SettingsError where a setting is out of range."""
     known = LightSettings().heights
-    heights = settings.heights.keys() <= known.keys() and all(16 <= h <= 2048 for h in settings.heights.values())
+    sizes = settings.heights
+    heights = bool(sizes) and sizes.keys() <= known.keys() and all(16 <= size <= 2048 for size in sizes.values())
     even = settings.directions % 2 == 0 and 0 <= settings.directions <= 4096
     rules = (
         ("suns", 1 <= settings.suns <= 64, "1 to 64"),
-        ("heights", heights, f"16 to 2048, for {', '.join(known)}"),
+        ("heights", heights, f"16 to 2048, for one or more of {', '.join(known)}"),
         ("directions", even, "an even number from 2 to 4096, or 0"),
         ("shadow_texels", 64 <= settings.shadow_texels <= 8192, "64 to 8192"),
         ("elevation", 5 <= settings.elevation <= 90, "5 to 90"),
@@ -110,7 +111,7 @@ def in_full_light(
         if settings.hours:
             camera = replace(views[0], elevation=_DAY_CAMERA[0], azimuth=_DAY_CAMERA[1])
             today, hours = through_day(one, other, camera, settings.day_height, day(settings.hours), done)
-        steps = stages_of_light(one, other, views[0].view(height))
+        steps = light_steps(one, other, views[0].view(height))
     return LightReport(height, figures, cast, today, suns, ground, hours, steps)
 
 

@@ -16,6 +16,7 @@ from treebake.verify.metrics import SKY, over
 from treebake.verify.relit import Pair
 
 _DECIMALS = 5
+_FIGURES = ("relit", "shadows", "day")
 _PAPER = (1.0, 1.0, 1.0)
 _ROW = 8  # hours side by side
 _COLUMNS = (  # heading, part, figure, format
@@ -39,13 +40,10 @@ def light_facts(reports: Mapping[str, LightReport]) -> dict[str, Any]:
     return {
         name: {
             "height": report.height,
-            **{part: _rounded(asdict(figures)) if (figures := getattr(report, part)) else None for part in _PARTS},
+            **{part: _rounded(asdict(figures)) if (figures := getattr(report, part)) else None for part in _FIGURES},
         }
         for name, report in reports.items()
     }
-
-
-_PARTS = ("relit", "shadows", "day")
 
 
 def format_light(reports: Mapping[str, LightReport]) -> str:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from treebake.gl.draw import Drawing
-from treebake.gl.light import Light
+from treebake.gl.light import DARK, Light
 from treebake.gl.scene import Stand
 from treebake.gl.shadow import ShadowMap, sun_view
 from treebake.gl.target import Picture
@@ -13,7 +13,6 @@ from treebake.gl.view import ONE_TREE, View
 from treebake.model import EMPTY_MESH, Doubles, Floats, Layers, Material, Mesh
 
 _ROUNDING = 1e-3  # of colours, which are kept in half floats
-_DARK = (0.0, 0.0, 0.0)
 
 
 class Shaded:
@@ -43,7 +42,7 @@ class Shaded:
         view = self._cast(light, None)
         depths = self._shadows.depths()
         stopped = np.where(depths < 1, depths * np.float32(2 / np.linalg.norm(view.to_clip[2, :3])), np.inf)
-        sun = replace(light, sun=(1.0, 1.0, 1.0), sky=_DARK, ground=_DARK)
+        sun = replace(light, sun=(1.0, 1.0, 1.0), sky=DARK, ground=DARK)
         lit = ground.drawing.picture(ground.view, sun, self._shadows).color[..., 0]
         shade = 1 - lit / light.sun_direction[1]
         return np.where(shade > _ROUNDING, np.minimum(shade, 1), 0).astype(np.float32), stopped

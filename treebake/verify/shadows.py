@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from treebake.gl.light import Light
+from treebake.gl.light import DARK, Light
 from treebake.gl.view import View
 from treebake.model import Doubles, Floats
 from treebake.verify.metrics import brightness
 from treebake.verify.shaded import Ground, Shaded
-
-_DARK = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -57,7 +55,7 @@ def shadows(
         here, there = np.isfinite(one), np.isfinite(other)
         stopped, either = stopped + int((here & there).sum()), either + int((here | there).sum())
         between.append(np.abs(one[here & there] - other[here & there]))
-        sun = replace(light, sky=_DARK, ground=_DARK)
+        sun = replace(light, sky=DARK, ground=DARK)
         for row, each in enumerate((source, candidate)):
             lights[row] += [brightness(each.picture(view, sun, shadows=behind)) for behind in (True, False)]
         done(1)

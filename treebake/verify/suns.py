@@ -5,14 +5,14 @@ import math
 import numpy as np
 
 from treebake.geometry import turn_to
-from treebake.gl.light import Light
+from treebake.gl.light import DAYLIGHT, Light
 
 _LOWEST, _HIGHEST = 15.0, 75.0  # degrees of elevation
 _GOLDEN = 180.0 * (3.0 - math.sqrt(5.0))  # degrees: keeps any number of azimuths apart
 _LATITUDE, _DECLINATION = math.radians(45.0), math.radians(23.44)  # midsummer: the sun reaches high and low places
 _SUN = np.array([1.7, 1.65, 1.55])  # above the air
 _AIR = np.array([0.10, 0.17, 0.32])  # that the air takes from a sun in the zenith, as an optical depth
-_SKY, _GROUND = np.array([0.45, 0.52, 0.62]), np.array([0.22, 0.20, 0.16])  # at noon
+_SKY, _GROUND = np.array(DAYLIGHT.sky), np.array(DAYLIGHT.ground)  # at noon
 _NIGHT = np.array([0.012, 0.016, 0.03])  # a sky without a sun
 
 

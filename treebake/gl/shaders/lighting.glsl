@@ -3,7 +3,7 @@
 layout(std140) uniform Light {
     mat4 to_shadow;      // from the world to the shadow map: texture coordinates and depth, times w
     vec3 sun_direction;  // towards it
-    float texel;         // width of a texel of the shadow map, in the world's unit
+    float texel;         // the longer side of a texel of the shadow map where w is one, in the world's unit
     vec3 sun;
     float occluded;      // 1, or 0 where the sky is seen whole from everywhere
     vec3 sky;
@@ -33,10 +33,13 @@ uniform vec4 transmission;  // factors on the albedo for what goes through, and 
 const float STEEPEST_LEAN = 16.0;  // tangent of the angle to the sun up to which a surface does not shade itself
 
 // The part of the sun that shines on a point whose normal makes an angle of this cosine with it. The point is moved
-// towards the sun by as much as its surface's depth changes within the texels that are filtered.
+// towards the sun by as much as its surface's depth changes within the four texels that are filtered, which lie up to
+// sqrt(2) apart; a texel grows with w across the view and with its square along it.
 float sunlit(vec3 point, float cosine) {
     float lean = min(sqrt(max(1.0 - cosine * cosine, 0.0)) / max(abs(cosine), 1e-3), STEEPEST_LEAN);
-    vec4 at = to_shadow * vec4(point + sun_direction * (texel * (1.0 + lean)), 1.0);
+    float w = (to_shadow * vec4(point, 1.0)).w;
+    float away = texel * max(w, w * w) * (1.0 + 1.5 * lean);
+    vec4 at = to_shadow * vec4(point + sun_direction * away, 1.0);
     return texture(shadow_map, at.xyz / at.w);
 }
 #endif

@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass, replace
 
-from treebake.gl.light import DAYLIGHT
+from treebake.gl.light import DARK, DAYLIGHT
 from treebake.gl.target import Picture
 from treebake.gl.view import View
 from treebake.verify.shaded import Shaded
 
-_DARK, _WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+_WHITE = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
-class StagesOfLight:
+class LightSteps:
     """source: fully lit. wireframe: of the candidate, as are the others. diffuse: its colours alone. direct: the sun.
     shadows: behind shadows. full: with the occluded sky, and light through leaves.
     """
@@ -24,11 +24,11 @@ class StagesOfLight:
     full: Picture
 
 
-def stages_of_light(source: Shaded, candidate: Shaded, view: View) -> StagesOfLight:
+def light_steps(source: Shaded, candidate: Shaded, view: View) -> LightSteps:
     """Draw them all from one view. Raises GraphicsError."""
-    even = replace(DAYLIGHT, sun=_DARK, sky=_WHITE, ground=_WHITE, occluded=False)
-    sun = replace(DAYLIGHT, sky=_DARK, ground=_DARK)
-    return StagesOfLight(
+    even = replace(DAYLIGHT, sun=DARK, sky=_WHITE, ground=_WHITE, occluded=False)
+    sun = replace(DAYLIGHT, sky=DARK, ground=DARK)
+    return LightSteps(
         source=source.picture(view, DAYLIGHT),
         wireframe=candidate.wireframe(view),
         diffuse=candidate.picture(view, even, shadows=False),
