@@ -509,6 +509,41 @@ def test_verify_judges_the_representations_asked_for(asset: Path, tree: Path, tr
     )
 
 
+QUICK_LIGHT = ["suns=2", "shadow_texels=256", "azimuths=1", "ground=128", "hours=2", "day_height=32", "directions=16"]
+QUICK_LIGHT += ["heights={cloud=32, indirect=32, leaves=32, slicings=32, views=32}"]
+
+
+def test_verify_light_judges_every_representation(asset: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
+    small = [part for each in QUICK_LIGHT for part in ("--set", f"light.{each}")]
+    result = treebake("verify", asset, "--source", tree, "--light", *small, "--json")
+    assert result.code == 0, result.err
+    found = json.loads(result.out)["representations"]
+    assert list(found) == ["cloud", "indirect", "leaves", "slicings", "views"]
+    assert found["indirect"]["shadows"]["ground_iou"] > 0.8
+    assert found["indirect"]["relit"]["flip_ratio"] < found["views"]["relit"]["flip_ratio"]
+    written = {path.name for path in (asset / "report").iterdir()}
+    assert written == {"light.json"} | {
+        f"{name}_{sheet}.png" for name in found for sheet in ("suns", "ground", "day", "light")
+    }
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--set", 'verify.representations=["cloud_same_bytes"]'], "light.heights has none of cloud_same_bytes"),
+        (["--set", "light.heights.cloud=8"], "[light] heights"),
+        (["--quick"], "--light has no thresholds"),
+        (["--threshold", "flip=1"], "--light has no thresholds"),
+    ],
+)
+def test_verify_light_is_refused_where_it_has_nothing_to_say(
+    asset: Path, tree: Path, treebake: Callable[..., Outcome], arguments: list[str], told: str
+) -> None:
+    result = treebake("verify", asset, "--source", tree, "--light", *arguments)
+    assert (result.code, len(result.lines)) == (2, 1), result.err
+    assert told in result.err
+
+
 def test_verify_keeps_the_source_out_of_the_asset(asset: Path, tree: Path, treebake: Callable[..., Outcome]) -> None:
     treebake("verify", asset, "--source", tree, *SMALL)
     assert not list((asset / "report").rglob("*.npz"))
