@@ -422,7 +422,7 @@ def test_indirect_bytes_are_the_tables_and_the_compressed_images() -> None:
     far = layers().far_color.pixels.shape[:2]
     assert (far, layers().hash_texture.size) == ((2, 2), 4)
     tables = 2 * 80 + 64 + 4 * 4 + 1024 * (2 + 16 + 4)
-    assert indirect_bytes(layers()) == tables + 23 * (16 + 24) + 2 * (16 + 16)
+    assert indirect_bytes(layers()) == tables + 23 * (16 + 24) + 2 * (16 + 24)
 
 
 @pytest.mark.parametrize(

@@ -14,17 +14,20 @@ from hypothesis.extra.numpy import arrays
 
 from treebake.errors import InputError, WorkspaceError
 from treebake.images import (
+    bilinear,
     bleed,
     decode_image,
     encode_floats,
     encode_png,
     flip_error,
+    mean_texel,
     mip_chain,
     read_image,
     to_linear,
     to_srgb,
     write_png,
 )
+from treebake.model import AlphaMode, Material, Texture
 
 GREY, RGB, PALETTE, GREY_ALPHA, RGBA = 0, 2, 3, 4, 6  # PNG's colour types
 
@@ -386,3 +389,36 @@ def test_flip_sees_where_the_difference_is() -> None:
     error = flip_error(reference, test)
     assert np.unravel_index(error.argmax(), error.shape) == (20, 40)
     assert error[:8].max() == 0
+
+
+# ---- means and lookups ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("mode", "mean"),
+    [
+        (AlphaMode.OPAQUE, 0.5),  # all count alike
+        (AlphaMode.MASK, 0.0),  # the black one alone is drawn
+        (AlphaMode.BLEND, 0.25),  # a third as much white is seen as black
+    ],
+)
+def test_the_mean_of_what_is_drawn(mode: AlphaMode, mean: float) -> None:
+    image = Texture("leaf", np.array([[[255, 255, 255, 80], [0, 0, 0, 240]]], np.uint8))
+    found = mean_texel(image, Material("leaf", color_map=image, alpha_mode=mode))
+    assert found[:3] == pytest.approx(mean)
+    # Of another map too, however large, where the colour map is drawn.
+    larger = Texture("larger", np.repeat(image.pixels, 3, axis=1))
+    assert mean_texel(larger, Material("leaf", color_map=image, alpha_mode=mode)) == pytest.approx(found)
+
+
+@pytest.mark.parametrize("mode", list(AlphaMode))
+def test_where_nothing_is_drawn_all_texels_count(mode: AlphaMode) -> None:
+    clear = Texture("clear", np.array([[[255, 255, 255, 0], [0, 0, 0, 0]]], np.uint8))
+    assert mean_texel(clear, Material("leaf", color_map=clear, alpha_mode=mode))[:3] == pytest.approx(0.5)
+
+
+def test_lookups_are_linear_between_texels_and_wrap() -> None:
+    pixels = np.array([[[0] * 4, [255] * 4], [[51] * 4, [255] * 4]], np.uint8)
+    places = np.array([(0.25, 0.25), (0.5, 0.25), (0.25, 0.5), (0.0, 0.25), (3.25, -0.25)])
+    found = bilinear(pixels, places, srgb=False)
+    np.testing.assert_allclose(found, np.array([0, 0.5, 0.1, 0.5, 0.2])[:, None].repeat(3, axis=1), atol=1e-6)

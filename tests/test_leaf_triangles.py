@@ -99,6 +99,8 @@ def test_the_numbers_of_the_cards_are_those_of_the_placements() -> None:
     np.testing.assert_array_equal(cards.cards[:, 0, 3], placed[:, 3] >> 16)
     np.testing.assert_array_equal(cards.cards[:, 1, 3] < 0, (placed[:, 3] >> 15 & 1).astype(bool))
     assert cost_of(empty(), cards).triangles == textures.leaves
+    grey = replace(cards, ambient=np.zeros((0, 4), np.uint8))
+    assert cost_of(empty(), cards).gpu_bytes == cost_of(empty(), grey).gpu_bytes + 4 * textures.leaves
     assert cards.leaf_color is textures.leaf_color
 
 

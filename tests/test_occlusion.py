@@ -1,5 +1,6 @@
 """The sky that vertices see, against what can be worked out by hand, and how it is carried along."""
 
+from ctypes import CDLL
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from stems import empty, mesh_of, sphere, stem, together, tree_of
 
-from treebake.errors import SettingsError
+from treebake.errors import GraphicsError, SettingsError
 from treebake.geometry import join
 from treebake.gl.context import context
 from treebake.gl.occlusion import sky_seen
@@ -116,6 +117,41 @@ def test_it_is_a_part_of_one(seed: int, count: int) -> None:
     assert ((found >= 0) & (found <= 1)).all()
 
 
+def test_vertices_of_several_materials_hide_each_other() -> None:
+    hole = Texture("hole", np.zeros((1, 1, 4), np.uint8))
+    cut = replace(disc(0.3), materials=(replace(GREEN, color_map=hole, alpha_mode=AlphaMode.MASK),))
+    assert seen(join(join(disc(0.0, 0.1), cut), disc(0.5)))[0] == pytest.approx(1 - 1 / 1.25, abs=NEAR)
+
+
+def test_opengl_is_left_as_it_was() -> None:
+    gl = context()
+    gl.enable_only(gl.NOTHING)
+    with gl.scope(gl.simple_framebuffer((3, 3)), gl.NOTHING):
+        seen(disc(0.0), directions=2, texels=16)
+        assert gl.fbo.size == (1, 1)  # the one that stays
+        assert not CDLL("libGL.so.1").glIsEnabled(0x0BE2)  # GL_BLEND
+
+
+def test_what_opengl_reports_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    def out_of_memory(_gl: object) -> None:
+        raise GraphicsError("OpenGL reports GL_OUT_OF_MEMORY while drawing")
+
+    monkeypatch.setattr("treebake.gl.occlusion.check", out_of_memory)
+    with pytest.raises(GraphicsError, match="GL_OUT_OF_MEMORY"):
+        seen(disc(0.0), directions=2, texels=16)
+
+
+def test_more_vertices_than_a_texture_takes_are_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("treebake.gl.occlusion._ROW", 1)
+    many = context().info["GL_MAX_TEXTURE_SIZE"] + 1
+    mesh = disc(0.0)
+    unused = {name: np.zeros((many, width), np.float32) for name, width in (("normals", 3), ("uvs", 2))}
+    positions = np.zeros((many, 3), np.float32)
+    positions[: len(mesh.positions)] = mesh.positions
+    with pytest.raises(GraphicsError, match=r"set \[occlusion\] directions = 0, or give a tree of fewer vertices"):
+        seen(replace(mesh, positions=positions, **unused), directions=2, texels=16)
+
+
 # ---- the stage -----------------------------------------------------------------------------------------------------
 
 
@@ -150,6 +186,39 @@ def test_no_directions_leave_the_tree_as_it_is() -> None:
 def test_settings_out_of_range_are_refused(change: dict[str, int]) -> None:
     with pytest.raises(SettingsError, match=r"\[occlusion\]"):
         occlusion(leaf_tree([(0, 0, 0)]), replace(QUICK, **change))
+
+
+SKY = np.zeros((2, 4, 4), np.uint8)  # columns of 51, 102, 153, 204
+SKY[..., 0], SKY[..., 1:] = [51, 102, 153, 204], 255
+MAPPED = replace(GREEN, name="mapped", occlusion_map=Texture("sky", SKY))
+
+
+@pytest.mark.parametrize("own", [False, True], ids=["by its uvs", "by uvs of its own"])
+def test_a_map_of_the_foliage_is_a_factor_on_what_its_vertices_see(own: bool) -> None:
+    tree = leaf_tree([(0, 0, 0), (5, 0, 0)], material=MAPPED)
+    plain = occlusion(leaf_tree([(0, 0, 0), (5, 0, 0)]), QUICK).foliage.occlusion
+    count = len(tree.foliage.positions)
+    uvs = np.column_stack([np.arange(count) % 4 / 4 + 0.125, np.full(count, 0.5)]).astype(np.float32)
+    uvs[0, 0] = 1.0  # midway between the last column and the first: the map repeats
+    placed = {"occlusion_uvs": uvs} if own else {"uvs": uvs}
+    found = occlusion(replace(tree, foliage=replace(tree.foliage, **placed)), QUICK).foliage
+    said = np.array([0.2, 0.4, 0.6, 0.8])[np.arange(count) % 4]
+    said[0] = 0.5
+    assert plain is not None
+    np.testing.assert_allclose(found.occlusion, said * plain, atol=1e-6)
+    assert found.occlusion_uvs is None
+    assert [material.occlusion_map for material in found.materials] == [None]
+    # Done once more, as for a picture of the source, it does not count twice.
+    again = occlusion(replace(tree, foliage=replace(found, occlusion=None)), QUICK).foliage
+    np.testing.assert_array_equal(again.occlusion, plain)
+
+
+def test_the_trunk_keeps_its_maps() -> None:
+    tree = replace(leaf_tree([(9, 9, 9)]), trunk=stem())
+    bark = replace(tree.trunk, materials=(MAPPED,))
+    found, plain = (occlusion(each, QUICK).trunk for each in (replace(tree, trunk=bark), tree))
+    assert found.materials[0] is MAPPED
+    np.testing.assert_array_equal(found.occlusion, plain.occlusion)
 
 
 # ---- carried along -------------------------------------------------------------------------------------------------

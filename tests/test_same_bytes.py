@@ -24,8 +24,7 @@ def masked(size: tuple[int, int] = (8, 8)) -> Material:
 
 
 def sizes(mesh: Mesh) -> list[tuple[int, int]]:
-    maps = [image for material in mesh.materials for image in (material.color_map, material.normal_map) if image]
-    return [image.pixels.shape[:2] for image in maps]
+    return [image.pixels.shape[:2] for material in mesh.materials for image in material.maps.values()]
 
 
 @pytest.mark.parametrize(
@@ -46,6 +45,15 @@ def test_a_limit_below_one_texel_ends_at_one_texel(limit: int) -> None:
 def test_odd_shapes_go_down_as_their_mips_do(shape: tuple[int, int]) -> None:
     found = {sizes(with_texture_bytes(quad(masked(shape)), limit))[0] for limit in range(0, 6000, 16)}
     assert found == {mip.shape[:2] for mip in mip_chain(noise("color", shape).pixels, srgb=True)}
+
+
+@pytest.mark.parametrize("name", ["occlusion_map", "roughness_map"])
+def test_every_map_counts_and_shrinks(name: str) -> None:
+    three = replace(masked(), **{name: noise("linear")})
+    assert sizes(with_texture_bytes(quad(three), 3 * 112)) == [(8, 8)] * 3
+    (material,) = with_texture_bytes(quad(three), 3 * 112 - 1).materials
+    assert sizes(quad(material)) == [(4, 4)] * 3
+    assert (material.maps[name].pixels == mip_chain(noise("linear").pixels, srgb=False)[1]).all()
 
 
 def test_texels_are_those_of_the_mip() -> None:

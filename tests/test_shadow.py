@@ -5,6 +5,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 from foliage import PAINTED
+from groves import standing
 from hypothesis import given
 from hypothesis import strategies as st
 from synthetic import quad
@@ -16,7 +17,7 @@ from treebake.geometry import turn_to
 from treebake.gl.draw import Drawing
 from treebake.gl.scene import Stand
 from treebake.gl.shadow import ShadowMap, sun_view
-from treebake.gl.view import ONE_TREE, View
+from treebake.gl.view import ONE_TREE, Grove, View
 from treebake.leaf_cards import leaf_cards
 from treebake.model import EMPTY_MESH, Doubles, Floats, Layers, Mesh
 from treebake.verify.cameras import Camera
@@ -80,10 +81,10 @@ def test_along_the_light_perspective_is_left_out(up: float) -> None:
     assert (plain.to_clip[3] == (0, 0, 0, 1)).all()
 
 
-def cast(mesh: Mesh, layers: Layers | None, points: Floats, texels: int = 128) -> Floats:
+def cast(mesh: Mesh, layers: Layers | None, points: Floats, texels: int = 128, grove: Grove = ONE_TREE) -> Floats:
     sun = turn_to(35.0, 20.0)[2]
     with closing(Drawing(mesh, layers, exact_cutouts=True)) as drawing, closing(ShadowMap(texels)) as shadows:
-        shadows.cast([Stand(drawing, ONE_TREE)], sun_view(sun, points.astype(np.float64), texels))
+        shadows.cast([Stand(drawing, grove)], sun_view(sun, points.astype(np.float64), texels))
         return shadows.depths()
 
 
@@ -118,3 +119,12 @@ def test_the_nearest_view_alone_casts_a_shadow_where_it_covers_half(layout: str,
     assert (depths < 1).any() == casts
     if casts:  # a square that faces the sun more or less, whose depth is that of its middle or nearer
         assert depths[64, 64] == pytest.approx(0.5, abs=0.2)
+
+
+@pytest.mark.parametrize("name", ["slicings", "views"])
+def test_a_tree_that_fades_casts_its_shadow(name: str) -> None:
+    cube = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    layers = Cards(count=3, coverage=255).made() if name == "slicings" else made("ring", 4)
+    fading = standing((0, 0, 0, 1, 0), opacities=0.9)
+    np.testing.assert_array_equal(cast(EMPTY_MESH, layers, cube, grove=fading) < 1, cast(EMPTY_MESH, layers, cube) < 1)
+    assert (cast(EMPTY_MESH, layers, cube, grove=fading) < 1).any()

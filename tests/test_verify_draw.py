@@ -250,6 +250,19 @@ def test_close_frees_everything() -> None:
     assert {type(resource.mglo).__name__ for resource in made} == {"InvalidObject"}
 
 
+def test_after_a_wireframe_that_failed_faces_are_drawn_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise GraphicsError("no more memory")
+
+    with closing(Drawing(quad(GREY))) as drawing:
+        whole = drawing.picture(FRONT).color
+        monkeypatch.setattr(drawing, "count", fail)
+        with pytest.raises(GraphicsError):
+            drawing.wireframe(FRONT)
+        assert not context().wireframe
+        np.testing.assert_array_equal(drawing.picture(FRONT).color, whole)
+
+
 def test_a_texture_too_large_is_refused_by_name() -> None:
     wide = Texture("panorama", np.zeros((1, context().info["GL_MAX_TEXTURE_SIZE"] + 1, 4), np.uint8))
     with pytest.raises(GraphicsError, match="panorama"):

@@ -130,6 +130,24 @@ def test_gpu_bytes_count_each_used_texture_once_with_mipmaps() -> None:
     assert cost_of(mesh).gpu_bytes == 16 * 3 + 16 * 1 + 8 * 32 + 12 * 4  # a block of 16 bytes for each of 3 mips, and 1
 
 
+@pytest.mark.parametrize("name", ["color_map", "normal_map", "occlusion_map", "roughness_map"])
+def test_any_map_costs_its_bytes(name: str) -> None:
+    bare, image = Material("bare"), texture(np.zeros((4, 4, 3)))
+    mapped = Material("bare", **{name: image})
+    assert cost_of(quad(mapped)).gpu_bytes == cost_of(quad(bare)).gpu_bytes + 16 * 3
+    # Of two maps in one image, as occlusion and roughness often are, that image counts once.
+    both = replace(mapped, occlusion_map=image, roughness_map=image)
+    assert cost_of(quad(replace(both, color_map=None, normal_map=None))).gpu_bytes == cost_of(quad(mapped)).gpu_bytes
+
+
+def test_texture_coordinates_of_occlusion_cost_bytes_where_they_are_its_own() -> None:
+    mesh = quad(Material("bark"))
+    there = mesh.uvs.copy()
+    assert cost_of(replace(mesh, occlusion_uvs=there)) == cost_of(mesh)
+    there[:3] += 0.5
+    assert cost_of(replace(mesh, occlusion_uvs=there)).gpu_bytes == cost_of(mesh).gpu_bytes + 3 * 8
+
+
 def test_indirect_billboards_cost_a_draw_call_a_box_each_and_their_bytes() -> None:
     def words(kind: type, *shape: int) -> np.ndarray:
         return np.zeros(shape, kind)
@@ -150,7 +168,7 @@ def test_indirect_billboards_cost_a_draw_call_a_box_each_and_their_bytes() -> No
         far_normal=small,
     )
     tables = 3 * 80 + 64 + 8 * 4 + 1024 * (2 + 16 + 4)
-    blocks = 5 * (16 + 24) + 16 + 16  # 8 x 4 texels are two blocks; its mips 4 x 2, 2 x 1 and 1 x 1 one each
+    blocks = 5 * (16 + 24) + 16 + 24  # 8 x 4 texels are two blocks; its mips 4 x 2, 2 x 1 and 1 x 1 one each
     alone = cost_of(small_tree())
     assert cost_of(small_tree(), layers) == Cost(8 + 3 * 12, 4 + 1, alone.gpu_bytes + tables + blocks)
     assert alone.triangles == 8

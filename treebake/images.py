@@ -114,18 +114,35 @@ def to_srgb(linear: Floats) -> Bytes:
 def mean_texel(texture: Texture, material: Material) -> Doubles:
     """The mean linear RGB, and alpha, of a texture's texels where a material's colour map is drawn: (4,) float64, 0..1.
 
-    The texture may be of another size than the colour map. Where nothing is drawn, or there is no such map, all count.
+    What is blended counts by its alpha. The texture may be of another size than the colour map. Where nothing is drawn,
+    or there is no such map, all count.
     """
     height, width = texture.pixels.shape[:2]
-    shown = np.ones((height, width), bool)
+    shown = np.ones((height, width))
     if material.color_map and material.alpha_mode is not AlphaMode.OPAQUE:
         alpha = material.color_map.pixels[..., 3]
         rows, columns = (np.arange(n) * there // n for n, there in zip((height, width), alpha.shape, strict=True))
-        shown = alpha[np.ix_(rows, columns)] >= max(material.alpha_cutoff * 255, 1)
-    texels = texture.pixels[shown] if shown.any() else texture.pixels.reshape(-1, 4)
-    counts = [np.bincount(texels[:, channel], minlength=256) for channel in range(4)]
+        alpha = alpha[np.ix_(rows, columns)]
+        blended = material.alpha_mode is AlphaMode.BLEND
+        drawn = alpha / 255 if blended else (alpha >= max(material.alpha_cutoff * 255, 1)).astype(np.float64)
+        shown = drawn if drawn.any() else shown
+    counts = [np.bincount(texture.pixels[..., c].reshape(-1), shown.reshape(-1), minlength=256) for c in range(4)]
     values = [*[_LINEAR.astype(np.float64)] * 3, np.arange(256) / 255]
-    return np.array([count @ value for count, value in zip(counts, values, strict=True)]) / len(texels)
+    mean: Doubles = np.array([count @ value for count, value in zip(counts, values, strict=True)]) / shown.sum()
+    return mean
+
+
+def bilinear(pixels: Bytes, uvs: Doubles, *, srgb: bool) -> Doubles:
+    """An image that repeats, filtered in linear light at texture coordinates (N, 2): RGB, (N, 3) float64."""
+    height, width = pixels.shape[:2]
+    values = to_linear(pixels[..., :3]) if srgb else pixels[..., :3].astype(np.float32) / np.float32(255)
+    place = uvs * (width, height) - 0.5
+    low = np.floor(place).astype(np.int64)
+    (x, y), (right, down) = low.T, (place - low).T[..., None]
+    left_x, right_x, top_y, bottom_y = x % width, (x + 1) % width, y % height, (y + 1) % height
+    top = values[top_y, left_x] * (1 - right) + values[top_y, right_x] * right
+    bottom = values[bottom_y, left_x] * (1 - right) + values[bottom_y, right_x] * right
+    return np.asarray(top * (1 - down) + bottom * down, np.float64)
 
 
 def bleed(pixels: Floats) -> Floats:

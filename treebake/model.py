@@ -81,6 +81,12 @@ class Material:
     alpha_cutoff: float = 0.5
     double_sided: bool = False
 
+    @property
+    def maps(self) -> dict[str, Texture]:
+        """The maps that it has, by their names above."""
+        found = {name: getattr(self, name) for name in ("color_map", "normal_map", "occlusion_map", "roughness_map")}
+        return {name: image for name, image in found.items() if image is not None}
+
 
 @dataclass(frozen=True, eq=False)
 class Morph:
@@ -349,12 +355,12 @@ class IndirectTextures:
 
 @dataclass(frozen=True, eq=False)
 class PictureAtlas:
-    """Pictures that stand in for a tree or parts of it, packed into one layout that three images share.
+    """Pictures that stand in for a tree or parts of it, packed into one layout that four images share.
 
-    coverage: grey, what part of each texel is covered. The others have half its width and height. albedo: sRGB,
-    without light. relief: RG are the surface's slopes to the picture's right and up, -4 to 4; B is depth, from the far
-    end of the picture's range to the viewer's. occlusion: grey, the part of the sky that is seen, an eighth as wide and
-    high as the coverage. mips: how many of the coverage's, below its first one, show nothing of a picture's neighbours.
+    coverage: grey, what part of each texel is covered. albedo: sRGB, without light, half as wide and high. relief: of
+    the same size; RG are the surface's slopes to the picture's right and up, -4 to 4; B is depth, from the far end of
+    the picture's range to the viewer's. occlusion: grey, the part of the sky that is seen, an eighth as wide and high
+    as the coverage. mips: how many of the coverage's, below its first one, show nothing of a picture's neighbours.
     """
 
     coverage: Texture

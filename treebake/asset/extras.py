@@ -48,7 +48,7 @@ class IndirectExtras:
     leaf_normal: Index
     far_color: Index
     far_normal: Index
-    transmission: TransmissionExtras | None
+    transmission: TransmissionExtras | None = None
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class SlicingsExtras:
     brightness: float
     exposure: Length
     untrimmed: Count
-    transmission: TransmissionExtras | None
+    transmission: TransmissionExtras | None = None
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class TreeViewsExtras:
     support: Index
     brightness: float
     exposure: Length
-    transmission: TransmissionExtras | None
+    transmission: TransmissionExtras | None = None
 
 
 @dataclass(frozen=True)

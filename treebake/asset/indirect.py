@@ -56,19 +56,21 @@ def _read(file: GltfFile, extras: Extras) -> tuple[IndirectTextures, str]:
 
 
 def indirect_bytes(textures: IndirectTextures) -> int:
-    """Bytes on the graphics card: tables as they are; colours BC3, normals BC5 and heights BC4, with all their mips."""
-    total = sum(int(getattr(textures, name).nbytes) for name in TABLES)
-    return total + _image_bytes(textures, ("leaf_color", "leaf_normal", "far_color", "far_normal"))
+    """Bytes on the graphics card: tables as they are; colours BC3, normals BC5, heights and the sky that is seen BC4,
+    with all their mips.
+    """
+    return sum(int(getattr(textures, name).nbytes) for name in TABLES) + _image_bytes(textures, IMAGES)
 
 
 def leaf_card_bytes(leaves: LeafCards) -> int:
     """The same of leaves on cards of their own."""
-    return leaves.cards.nbytes + leaves.shapes.nbytes + _image_bytes(leaves, ("leaf_color", "leaf_normal"))
+    tables = leaves.cards.nbytes + leaves.shapes.nbytes + leaves.ambient.nbytes
+    return tables + _image_bytes(leaves, ("leaf_color", "leaf_normal"))
 
 
 def _image_bytes(holder: IndirectTextures | LeafCards, names: Iterable[str]) -> int:
     images = [(name, getattr(holder, name).pixels.shape) for name in names]
-    return sum(block_bytes(w, h, 16 + 8 * (name == "leaf_normal")) for name, (h, w, _) in images)
+    return sum(block_bytes(w, h, 16 + 8 * name.endswith("normal")) for name, (h, w, _) in images)
 
 
 def _table(file: GltfFile, where: IndirectExtras, name: str) -> np.ndarray:

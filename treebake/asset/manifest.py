@@ -20,7 +20,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Translucency:
+class TranslucencyEntry:
     """What the leaves let through in the mean. color: a factor on base colour times colour map. origin: of the figures,
     "source", "broad leaf" or "needle", or several of them with commas.
     """
@@ -165,7 +165,7 @@ class Manifest:
     views: ViewsEntry | None = None
     ladder: tuple[Rung, ...] = ()  # from near to far; empty where it was not measured
     left_out: tuple[LeftOut, ...] = ()
-    translucency: Translucency | None = None  # None where no light goes through
+    translucency: TranslucencyEntry | None = None  # None where no light goes through
 
 
 @dataclass(frozen=True)

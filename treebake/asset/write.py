@@ -19,7 +19,7 @@ from treebake.asset.manifest import (
     Picture,
     SlicingsEntry,
     Source,
-    Translucency,
+    TranslucencyEntry,
     ViewsEntry,
     screen_coverage,
 )
@@ -110,11 +110,11 @@ def write_asset(tree: BakedTree, folder: Path, shared: Path | None = None, ladde
     return manifest
 
 
-def _translucency(tree: BakedTree) -> Translucency | None:
+def _translucency(tree: BakedTree) -> TranslucencyEntry | None:
     if tree.translucency is None:
         return None
     through = tree.translucency.transmission
-    return Translucency(through.factor, through.color, tree.translucency.origin)
+    return TranslucencyEntry(through.factor, through.color, tree.translucency.origin)
 
 
 def _nodes(level: BakedLevel) -> list[tuple[str, Mesh]]:

@@ -44,7 +44,8 @@ def read_gltf(path: Path, assigned: Collection[str] = ()) -> list[Part]:
     mirroring nodes. Of diffuse transmission a factor and a colour are read, the means of its textures. Vertex colours,
     skins and morphs are not read, but for a morph that is one target named "parent" of plain floats, as treebake writes
     it.
-    assigned: names of materials whose colour map comes from elsewhere, and is not looked for.
+    assigned: names of materials whose colour map comes from elsewhere, and is not looked for; what goes through them is
+    a factor on that map, whatever it was in the file.
 
     Raises MeshError for a damaged file, InputError for a missing buffer or one outside the folder, UnsupportedError
     for a required extension that is not read.
@@ -313,7 +314,8 @@ def _texture(file: GltfFile, info: Json | None) -> Texture | None:
 def _transmission(file: GltfFile, through: Json, material: Material, color_map: Json | None) -> Transmission:
     """What a material lets through, its colour as a factor on the colour map.
 
-    A colour that does not come from that map becomes the ratio of the means, so that as much light comes through.
+    A colour that does not come from that map becomes the ratio of the means, so that as much light comes through. Where
+    the map comes from elsewhere, its mean is not known here: the colour as it stands is taken for the factor.
     """
     factor = float(through.get("diffuseTransmissionFactor", 0))
     if part := _texture(file, through.get("diffuseTransmissionTexture")):

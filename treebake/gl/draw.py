@@ -117,10 +117,12 @@ class Drawing:
         target = self._target(view.window)
         target.count.clear()
         self._gl.wireframe = True
-        with self._gl.scope(target.count, self._gl.BLEND):
-            self._gl.blend_func = self._gl.ONE, self._gl.ONE
-            self.count(view, ONE_TREE)
-        self._gl.wireframe = False
+        try:
+            with self._gl.scope(target.count, self._gl.BLEND):
+                self._gl.blend_func = self._gl.ONE, self._gl.ONE
+                self.count(view, ONE_TREE)
+        finally:
+            self._gl.wireframe = False
         return target.counted()
 
     def draw_solid(

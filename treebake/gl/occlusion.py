@@ -4,12 +4,14 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from treebake.gl.context import context, program
-from treebake.gl.textures import upload_plain
+from treebake.gl.context import context, leave_framebuffer, program
+from treebake.gl.target import check
+from treebake.gl.textures import upload_plain, upload_table
 from treebake.gl.view import column_major
 from treebake.model import AlphaMode, Doubles, Floats, Material, Mesh
 
 _ROW = 1024  # vertices of a row of their image
+_HINT = "set [occlusion] directions = 0, or give a tree of fewer vertices"
 _NOTHING = -2.0  # below all that a map can hold
 _GOLDEN = np.pi * (3 - np.sqrt(5))  # radians from one direction to the next
 
@@ -25,7 +27,8 @@ def sky_seen(mesh: Mesh, thin: NDArray[np.bool_], *, directions: int, texels: in
 
     Opposite directions share a pass, which keeps both the greatest and the least depth: half the time of a depth
     buffer for each (2.7 s and 5.2 s for 128 directions and 159,000 triangles in software).
-    Raises GraphicsError where there is no OpenGL.
+    Raises GraphicsError where there is no OpenGL, or there are more vertices than its textures take: 16 million where
+    those have 16,384 rows.
     """
     if not mesh.triangles:
         return np.ones(len(mesh.positions), np.float32)
@@ -34,36 +37,41 @@ def sky_seen(mesh: Mesh, thin: NDArray[np.bool_], *, directions: int, texels: in
     middle = (low + high) / 2
     radius = float(np.linalg.norm(mesh.positions[mesh.used] - middle, axis=1).max()) * (1 + 1e-3) or 1.0
     sphere = {"middle": tuple(middle.tolist()), "radius": radius}
-    occluders = [_Occluder(gl, mesh, index) for index in np.unique(mesh.face_material)]
+    places, uvs = (gl.buffer(np.ascontiguousarray(values, np.float32)) for values in (mesh.positions, mesh.uvs))
+    occluders = [_Occluder(gl, mesh, index, places, uvs) for index in np.unique(mesh.face_material)]
     reach = gl.texture((texels, texels), 2, dtype="f4")
     reach.filter = moderngl.NEAREST, moderngl.NEAREST
     film = gl.framebuffer([reach])
     receivers = _Receivers(gl, mesh, thin, reach)
     for turn in _turns(directions // 2, seed):
         values = {**sphere, "turn": column_major(turn)}
-        film.use()
         film.clear(_NOTHING, _NOTHING)
-        gl.enable_only(moderngl.BLEND)
-        gl.blend_func, gl.blend_equation = (moderngl.ONE, moderngl.ONE), moderngl.MAX
-        for occluder in occluders:
-            occluder.draw(values)
-        gl.blend_equation = moderngl.FUNC_ADD
+        with gl.scope(film, moderngl.BLEND):
+            gl.blend_func, gl.blend_equation = (moderngl.ONE, moderngl.ONE), moderngl.MAX
+            for occluder in occluders:
+                occluder.draw(values)
+            gl.blend_equation = moderngl.FUNC_ADD
         receivers.add({**values, "bias": bias / radius})
-    return receivers.seen()
+    check(gl)
+    seen = receivers.seen()
+    leave_framebuffer()
+    return seen
 
 
 class _Occluder:
     """The faces of one material."""
 
-    def __init__(self, gl: moderngl.Context, mesh: Mesh, index: int) -> None:
+    def __init__(
+        self, gl: moderngl.Context, mesh: Mesh, index: int, places: moderngl.Buffer, uvs: moderngl.Buffer
+    ) -> None:
         material = mesh.materials[index]
         faces = gl.buffer(np.ascontiguousarray(mesh.faces[mesh.face_material == index], np.int32))
-        layout = [(gl.buffer(np.ascontiguousarray(mesh.positions, np.float32)), "3f", "in_position")]
+        layout = [(places, "3f", "in_position")]
         self._material: Material | None = None
         variant = []
         if material.alpha_mode is not AlphaMode.OPAQUE:
             self._material = material
-            layout.append((gl.buffer(np.ascontiguousarray(mesh.uvs, np.float32)), "2f", "in_uv"))
+            layout.append((uvs, "2f", "in_uv"))
             self._color_map = upload_plain(gl, material.color_map, srgb=True)
             variant = ["CUT_OUT"]
         self._array = gl.vertex_array(program("sky_depth", *variant), layout, faces)
@@ -97,14 +105,15 @@ class _Receivers:
         self._array = gl.vertex_array(program("sky_seen"), [])
 
     def add(self, values: dict[str, object]) -> None:
-        self._sum.use()
         shader = self._array.program
         for unit, (name, image) in enumerate(self._images.items()):
             image.use(unit)
             shader[name] = unit
         for name, value in values.items():
             shader[name] = value
-        self._array.render(moderngl.TRIANGLES, vertices=3)
+        with self._gl.scope(self._sum, moderngl.BLEND):
+            self._gl.blend_func = moderngl.ONE, moderngl.ONE
+            self._array.render(moderngl.TRIANGLES, vertices=3)
 
     def seen(self) -> Floats:
         sums = np.frombuffer(self._sum.read(components=2, dtype="f4"), np.float32).reshape(-1, 2)[: self._count]
@@ -114,9 +123,7 @@ class _Receivers:
     def _upload(self, values: Floats) -> moderngl.Texture:
         padded = np.zeros((self._size[0] * self._size[1], 4), np.float32)
         padded[: self._count] = values
-        image = self._gl.texture(self._size, 4, padded, dtype="f4")
-        image.filter = moderngl.NEAREST, moderngl.NEAREST
-        return image
+        return upload_table(self._gl, padded.reshape(-1, _ROW, 4), "f4", _HINT)
 
 
 def _face_normals(mesh: Mesh) -> Doubles:

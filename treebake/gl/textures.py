@@ -60,7 +60,7 @@ def upload_atlas(gl: moderngl.Context, atlas: PictureAtlas, hint: str) -> dict[s
         "coverage": upload_compressed(gl, atlas.coverage, hint, srgb=False, mips=atlas.mips),
         "albedo": upload_compressed(gl, atlas.albedo, hint, srgb=True, mips=half),
         "relief": upload_compressed(gl, atlas.relief, hint, srgb=False, mips=half),
-        "occlusion": upload_compressed(gl, atlas.occlusion or WHITE, hint, srgb=False, mips=eighth),
+        "occlusion": upload_compressed(gl, atlas.occlusion, hint, srgb=False, mips=eighth),
     }
 
 

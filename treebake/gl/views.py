@@ -40,11 +40,12 @@ class ViewCards:
         Two calls: one for the trees that are looked into, over one for those that are too far away for that.
         """
         gl = self._gl
-        (gl.disable if shading is Shading.CASTER else gl.enable)(gl.BLEND)
+        casts = shading is Shading.CASTER
+        (gl.disable if casts else gl.enable)(gl.BLEND)
         gl.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
-        # One that is vanishing must not hide what is drawn in its place.
+        # One that is vanishing must not hide what is drawn in its place; its shadow falls all the same.
         for trees, hides in zip(grove.whole_and_fading(), (True, False), strict=True):
-            onto.depth_mask = hides
+            onto.depth_mask = hides or casts
             far, near = self._far_and_near(view, trees)
             self._draw(program("views_plain", *shading.value), view, far)
             self._draw(program("views", *shading.value), view, near)

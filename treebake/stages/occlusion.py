@@ -25,7 +25,8 @@ import numpy as np
 from treebake.checks import check
 from treebake.geometry import join
 from treebake.gl.occlusion import sky_seen
-from treebake.model import Tree
+from treebake.images import bilinear
+from treebake.model import Floats, Mesh, Tree
 
 _BIAS = 0.05  # of a leaf's size, by which vertices are moved towards the sky
 _LEAFLESS = 5e-4  # of the tree's greatest extent, where there is no leaf
@@ -43,6 +44,8 @@ class OcclusionSettings:
 def occlusion(tree: Tree, settings: OcclusionSettings) -> Tree:
     """Give the vertices of trunk and foliage the part of the sky that they see, each hidden by both. See `sky_seen`.
 
+    What occlusion maps of the foliage say at its vertices is a factor on it, and the maps are gone: nothing that is
+    baked from foliage looks at them. The trunk keeps its own. Without directions maps are of no account either.
     Raises SettingsError where a setting is out of range, and GraphicsError where there is no OpenGL.
     """
     _check(settings)
@@ -59,11 +62,24 @@ def occlusion(tree: Tree, settings: OcclusionSettings) -> Tree:
         bias=leaf,
         seed=settings.seed,
     )
-    return replace(
-        tree,
-        trunk=replace(tree.trunk, occlusion=seen[:first]),
-        foliage=replace(tree.foliage, occlusion=seen[first:]),
-    )
+    foliage = _without_maps(replace(tree.foliage, occlusion=seen[first:] * _mapped(tree.foliage)))
+    return replace(tree, trunk=replace(tree.trunk, occlusion=seen[:first]), foliage=foliage)
+
+
+def _mapped(mesh: Mesh) -> Floats:
+    """What the occlusion maps say at the vertices: (V,) float32, 1 where there is none."""
+    uvs = mesh.uvs if mesh.occlusion_uvs is None else mesh.occlusion_uvs
+    found = np.ones(len(mesh.positions), np.float32)
+    for index, material in enumerate(mesh.materials):
+        if image := material.occlusion_map:
+            own = np.unique(mesh.faces[mesh.face_material == index])
+            found[own] = bilinear(image.pixels, uvs[own].astype(np.float64), srgb=False)[:, 0]
+    return found
+
+
+def _without_maps(mesh: Mesh) -> Mesh:
+    materials = tuple(replace(each, occlusion_map=None) if each.occlusion_map else each for each in mesh.materials)
+    return replace(mesh, materials=materials, occlusion_uvs=None)
 
 
 def _check(settings: OcclusionSettings) -> None:

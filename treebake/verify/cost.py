@@ -14,8 +14,9 @@ _BLOCK = 16  # bytes of 4 x 4 texels: BC3, BC5 or BC7
 
 @dataclass(frozen=True)
 class Cost:
-    """gpu_bytes: each used texture once, block-compressed to a byte a texel, with its mipmaps; 32 bytes a vertex and 4
-    an index; of layers, tables as they are and images block-compressed too.
+    """gpu_bytes: each used texture once, block-compressed to a byte a texel, with its mipmaps; 32 bytes a vertex, and 8
+    where occlusion has texture coordinates of its own; 4 an index; of layers, tables as they are and images
+    block-compressed too.
     """
 
     triangles: int
@@ -29,7 +30,8 @@ def cost_of(mesh: Mesh, layers: Layers | None = None) -> Cost:
     Of slicings, two are drawn at a time; a third one from above only.
     """
     calls = len(np.unique(np.stack([mesh.face_node, mesh.face_material]), axis=1).T)
-    vertices = 32 * len(mesh.positions) + 4 * mesh.faces.size
+    own = 0 if mesh.occlusion_uvs is None else np.count_nonzero((mesh.occlusion_uvs != mesh.uvs).any(axis=1))
+    vertices = 32 * len(mesh.positions) + 8 * int(own) + 4 * mesh.faces.size
     cost = Cost(mesh.triangles, calls, vertices + sum(map(_bytes, _textures_of(mesh))))
     if layers is None:
         return cost
@@ -51,5 +53,5 @@ def _bytes(texture: Texture) -> int:
 def _textures_of(mesh: Mesh) -> list[Texture]:
     """Every texture that the faces of a mesh use, once."""
     used = [mesh.materials[i] for i in np.unique(mesh.face_material)]
-    found = {id(image): image for material in used for image in (material.color_map, material.normal_map) if image}
+    found = {id(image): image for material in used for image in material.maps.values()}
     return list(found.values())

@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from treebake.images import mip_chain, to_linear
-from treebake.model import Bytes, Doubles, Floats, Longs, Material, Mesh, Texture
+from treebake.images import bilinear, mip_chain
+from treebake.model import Doubles, Floats, Longs, Material, Mesh, Texture
 from treebake.stages.trunk_maps.texels import Texels, blended, frame_at
 
 
@@ -69,7 +69,7 @@ def _looked_up(
         mips = np.clip(mips, 0, len(chain) - 1).astype(np.int64)
         for mip in np.unique(mips):
             those = rows[mips == mip]
-            found[those] = _bilinear(chain[mip], places[those], srgb)
+            found[those] = bilinear(chain[mip], places[those], srgb=srgb)
     return found
 
 
@@ -78,16 +78,3 @@ def _chosen(source: Mesh, choose: Callable[[Material], Texture | None]) -> Itera
         texture = choose(source.materials[index])
         if texture is not None:
             yield index, texture
-
-
-def _bilinear(pixels: Bytes, uvs: Doubles, srgb: bool) -> Doubles:
-    """(N, 3) of an image that repeats, filtered in linear light."""
-    height, width = pixels.shape[:2]
-    values = to_linear(pixels[..., :3]) if srgb else pixels[..., :3].astype(np.float32) / np.float32(255)
-    place = uvs * (width, height) - 0.5
-    low = np.floor(place).astype(np.int64)
-    (x, y), (right, down) = low.T, (place - low).T[..., None]
-    left_x, right_x, top_y, bottom_y = x % width, (x + 1) % width, y % height, (y + 1) % height
-    top = values[top_y, left_x] * (1 - right) + values[top_y, right_x] * right
-    bottom = values[bottom_y, left_x] * (1 - right) + values[bottom_y, right_x] * right
-    return np.asarray(top * (1 - down) + bottom * down, np.float64)
