@@ -34,7 +34,7 @@ SMALL = Settings(
     twigs=TwigSettings(trunk_triangles=300),
     trunk=TrunkSettings(triangles=300),
 )
-UNMAPPED = TrunkMaps("none")
+NONE = TrunkMaps("none")
 THIN = tuple(stem(radii=(0.04, 0.03, 0.02), sides=6, at=(0.3 * i, 0.0, 0.2)) for i in range(6))  # of 2 in height
 BRANCHES = together(stem(radii=np.linspace(0.3, 0.2, 12), sides=12), *THIN)
 
@@ -56,7 +56,7 @@ def finest(tree: Tree, settings: Settings) -> tuple[Tree, Hierarchy | None, Mesh
     return grown, hierarchy(grown.leaves, cluster(grown.leaves, settings.cluster), settings.hierarchy), solid
 
 
-def levels_of(tree: Tree, folder: Path, settings: Settings = SMALL, maps: TrunkMaps = UNMAPPED) -> tuple[BakedLevel, ...]:
+def levels_of(tree: Tree, folder: Path, settings: Settings = SMALL, maps: TrunkMaps = NONE) -> tuple[BakedLevel, ...]:
     grown, planes, solid = finest(tree, settings)
     above = Result.of(planes) if planes else None
     mapped = MappedTrunk(solid, maps)

@@ -206,6 +206,18 @@ def with_alpha(texture: Texture) -> Texture:
     return texture
 
 
+def test_light_looked_up_apart_is_baked():
+    shade = image((255, 255, 255), (0, 0, 0))
+    shade.pixels[..., :3] = np.linspace(0, 255, 64).astype(np.uint8)[:, None, None]
+    full = replace(textured(FULL, color_map=image((90, 60, 30)), occlusion_map=shade), occlusion_uvs=untiled(FULL).uvs)
+    mapped = baked(simplified(full), full)
+    texture = mapped.mesh.materials[0].occlusion_map
+    height = places(mapped.mesh, texture.pixels.shape[0])[:, 1] / 2
+    assert mapped.maps.kind == "tiled"
+    middle = np.abs(height - 0.5) < 0.25  # a map repeats, so that its ends are filtered into each other
+    assert np.abs(shown(mapped.mesh, texture)[:, 0] / 255 - height)[middle].max() < 0.05
+
+
 @pytest.mark.parametrize("mode", [AlphaMode.MASK, AlphaMode.BLEND])
 @pytest.mark.parametrize("where", ["factor", "map"])
 def test_bark_that_is_not_opaque_keeps_its_materials(mode: AlphaMode, where: str):
