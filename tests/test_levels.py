@@ -14,7 +14,7 @@ from stems import empty, mesh_of, stem, together
 from treebake.asset import read_asset, write_asset
 from treebake.errors import SettingsError
 from treebake.levels import LevelSettings, bake_levels, check_levels
-from treebake.model import BakedLevel, BakedTree, Hierarchy, Mesh, Tree
+from treebake.model import BakedLevel, BakedTree, Hierarchy, MappedTrunk, Material, Mesh, Texture, Tree, TrunkMaps
 from treebake.planes import with_pieces
 from treebake.settings import Settings
 from treebake.stages.billboards import BillboardSettings, billboards
@@ -34,6 +34,7 @@ SMALL = Settings(
     twigs=TwigSettings(trunk_triangles=300),
     trunk=TrunkSettings(triangles=300),
 )
+NONE = TrunkMaps("none")
 THIN = tuple(stem(radii=(0.04, 0.03, 0.02), sides=6, at=(0.3 * i, 0.0, 0.2)) for i in range(6))  # of 2 in height
 BRANCHES = together(stem(radii=np.linspace(0.3, 0.2, 12), sides=12), *THIN)
 
@@ -55,10 +56,11 @@ def finest(tree: Tree, settings: Settings) -> tuple[Tree, Hierarchy | None, Mesh
     return grown, hierarchy(grown.leaves, cluster(grown.leaves, settings.cluster), settings.hierarchy), solid
 
 
-def levels_of(tree: Tree, folder: Path, settings: Settings = SMALL) -> tuple[BakedLevel, ...]:
+def levels_of(tree: Tree, folder: Path, settings: Settings = SMALL, maps: TrunkMaps = NONE) -> tuple[BakedLevel, ...]:
     grown, planes, solid = finest(tree, settings)
     above = Result.of(planes) if planes else None
-    return bake_levels(Workspace(folder), settings, Result.of(tree), Result.of(grown), above, solid)
+    mapped = MappedTrunk(solid, maps)
+    return bake_levels(Workspace(folder), settings, Result.of(tree), Result.of(grown), above, mapped)
 
 
 def published(tree: Tree, folder: Path, settings: Settings = SMALL) -> BakedTree:
@@ -90,6 +92,22 @@ def test_branches_thinner_than_a_pixel_are_on_cards(tmp_path: Path) -> None:
     assert (near.leaves.centers[:40] == crowned(BRANCHES).leaves.centers).all()  # pieces come after the leaves
     assert not near.leaves.is_twig[:40].any()
     assert near.leaves.is_twig[40:].all()
+
+
+def test_a_trunk_that_lost_its_twigs_alone_keeps_its_maps(tmp_path: Path) -> None:
+    tree = crowned(together(stem(radii=(0.3, 0.2), sides=12), *THIN))
+    roomy = replace(SMALL, levels=replace(SMALL.levels, trunk_triangles=(200, 100)))
+    for level in levels_of(tree, tmp_path, roomy):
+        assert level.trunk.triangles == 24 < tree.trunk.triangles
+        assert level.trunk_maps.kind == "tiled"
+
+
+def test_all_levels_show_bark_as_the_finest_does(tmp_path: Path) -> None:
+    bark = Material("bark", color_map=Texture("bark", np.full((64, 64, 4), 255, np.uint8)))
+    tree = crowned(replace(stem(radii=np.linspace(0.3, 0.2, 12), sides=12), materials=(bark,)))
+    for kind, density in (("unique", 1e6), ("tiled", 1e-6)):
+        levels = levels_of(tree, tmp_path / kind, maps=TrunkMaps(kind, 1.0, density))
+        assert [level.trunk_maps.kind for level in levels] == [kind, kind]
 
 
 def test_leaves_keep_their_plane_and_pieces_go_to_the_nearest() -> None:

@@ -8,7 +8,7 @@ from trees import tree as file_of
 
 from treebake.errors import SettingsError
 from treebake.meshes import read_mesh
-from treebake.model import Material
+from treebake.model import Material, Texture
 from treebake.stages.trunk import TrunkSettings, compare, trunk
 
 
@@ -90,6 +90,18 @@ def test_materials_and_nodes_are_kept():
     right = (simple.positions[simple.faces].mean(axis=1)[:, 0] > 0.5).astype(np.int32)
     np.testing.assert_array_equal(simple.face_material, right)
     np.testing.assert_array_equal(simple.face_node, right)
+
+
+@pytest.mark.parametrize("mesh", [stem(radii=[0.1] * 20, sides=16), sphere()], ids=["tube", "solid"])
+def test_an_occlusion_map_is_never_looked_up_elsewhere(mesh):
+    shade = Texture("shade", np.full((4, 4, 4), 128, np.uint8))
+    mesh = replace(mesh, materials=(Material("bark", color_map=shade, occlusion_map=shade),))
+    simple = trunk(mesh, TrunkSettings(triangles=60))
+    assert simple.materials == mesh.materials  # looked up where colours are
+    apart = replace(mesh, occlusion_uvs=mesh.uvs * 0.5)
+    assert trunk(apart, TrunkSettings(triangles=mesh.triangles)) is apart
+    (material,) = trunk(apart, TrunkSettings(triangles=60)).materials
+    assert (material.occlusion_map, material.color_map) == (None, shade)
 
 
 def test_a_solid_is_collapsed():

@@ -12,7 +12,7 @@ from synthetic import joined
 from treebake.errors import SettingsError
 from treebake.gl.uv_bake import face_texels
 from treebake.images import to_linear
-from treebake.model import Material, Mesh, Texture
+from treebake.model import AlphaMode, MappedTrunk, Material, Mesh, Texture, Transmission, TrunkMaps
 from treebake.stages.trunk import TrunkSettings, trunk
 from treebake.stages.trunk_maps import TrunkMapSettings, trunk_maps
 
@@ -30,6 +30,10 @@ def image(*columns: object) -> Texture:
     pixels = np.full((64, len(colors), 4), 255, np.uint8)
     pixels[..., :3] = colors
     return Texture("image", pixels)
+
+
+def baked(simple: Mesh, full: Mesh, settings: TrunkMapSettings = SMALL) -> MappedTrunk:
+    return trunk_maps(simple, full, full, None, settings)
 
 
 def simplified(mesh: Mesh, triangles: int = 60) -> Mesh:
@@ -59,7 +63,7 @@ def places(mesh: Mesh, size: int) -> np.ndarray:
 def test_a_repeating_texture_stays():
     full = textured(FULL, color_map=image((90, 60, 30), (20, 10, 5)))  # v runs to 23
     simple = simplified(full)
-    mapped = trunk_maps(simple, full, SMALL)
+    mapped = baked(simple, full)
     assert mapped.mesh is simple
     assert mapped.maps.kind == "tiled"
     # 64 x 64 texels on one segment of 2 / 23 in length, about 1.26 around
@@ -73,7 +77,7 @@ def test_a_repeating_texture_gets_light_beside_it():
     occluded.pixels[..., :3] = 128
     full = replace(textured(FULL, color_map=image((90, 60, 30)), occlusion_map=occluded), occlusion=seen)
     simple = simplified(full)
-    mapped = trunk_maps(simple, full, SMALL)
+    mapped = baked(simple, full)
     (material,) = mapped.mesh.materials
     assert mapped.maps.kind == "tiled"
     assert material.color_map is full.materials[0].color_map
@@ -87,7 +91,7 @@ def test_a_repeating_texture_gets_light_beside_it():
 
 def test_a_texture_used_once_is_baked_in_linear_light():
     full = untiled(textured(FULL, color_map=image((200, 40, 40), (40, 40, 200)), base_color=(0.5, 1.0, 1.0, 1.0)))
-    mapped = trunk_maps(simplified(full), full, SMALL)
+    mapped = baked(simplified(full), full)
     assert (mapped.maps.kind, mapped.maps.source_density) == ("unique", 0.0)
     (material,) = mapped.mesh.materials
     assert (material.name, material.base_color) == ("trunk", (1, 1, 1, 1))
@@ -105,7 +109,7 @@ def test_a_texture_used_once_is_baked_in_linear_light():
 def test_normals_are_the_full_trunks(mirrored: bool):
     bumpy = stem(radii=0.3 + 0.02 * np.sin(np.arange(60)), sides=24, mirrored=mirrored)
     wavy = mesh_of(bumpy.positions, bumpy.faces, bumpy.uvs)
-    mapped = trunk_maps(simplified(wavy, 40), wavy, SMALL)
+    mapped = baked(simplified(wavy, 40), wavy)
     texture = mapped.mesh.materials[0].normal_map
     bumps = shown(mapped.mesh, texture) / 255 * 2 - 1
     assert np.abs(np.linalg.norm(bumps, axis=1) - 1).max() < 0.02
@@ -137,7 +141,7 @@ def world_normals(mesh: Mesh, face: np.ndarray, weights: np.ndarray, bumps: np.n
 
 def test_plain_materials_keep_their_factors():
     full = textured(FULL, base_color=(0.2, 0.1, 0.05, 1.0), roughness=0.7, metallic=0.1)
-    (material,) = trunk_maps(simplified(full), full, SMALL).mesh.materials
+    (material,) = baked(simplified(full), full).mesh.materials
     assert (material.base_color, material.color_map) == ((0.2, 0.1, 0.05, 1.0), None)
     assert (material.roughness, material.metallic, material.roughness_map) == (0.7, 0.1, None)
     assert material.occlusion_map is None
@@ -147,7 +151,7 @@ def test_two_materials_one_with_a_texture():
     left = untiled(textured(FULL, color_map=image((200, 0, 0)), roughness=0.5))
     right = replace(stem(radii=[0.2] * 24, sides=16, at=(2, 0, 0)), materials=(Material("moss", (0, 1, 0, 1)),))
     full = joined(left, right)
-    mapped = trunk_maps(simplified(full, 120), full, SMALL)
+    mapped = baked(simplified(full, 120), full)
     (material,) = mapped.mesh.materials
     assert mapped.maps.kind == "unique"
     where = places(mapped.mesh, material.color_map.pixels.shape[0])[:, 0] > 1
@@ -162,7 +166,7 @@ def test_two_materials_one_with_a_texture():
 def test_one_image_holds_occlusion_roughness_and_metal():
     rough = image((0, 100, 50))
     full = replace(untiled(textured(FULL, roughness_map=rough, metallic=1.0)), occlusion=np.full(len(FULL.uvs), 0.5))
-    (material,) = trunk_maps(simplified(full), full, SMALL).mesh.materials
+    (material,) = baked(simplified(full), full).mesh.materials
     assert material.occlusion_map is material.roughness_map
     found = shown(replace(FULL, uvs=FULL.uvs * 0 + 0.5), material.occlusion_map)
     assert np.abs(found.astype(int) - (128, 100, 50)).max(initial=0) <= 1
@@ -174,25 +178,90 @@ def test_one_image_holds_occlusion_roughness_and_metal():
     ids=["no trunk", "nothing left", "vertices only"],
 )
 def test_no_trunk(simple: Mesh, full: Mesh):
-    mapped = trunk_maps(simple, full, SMALL)
+    mapped = baked(simple, full)
     assert (mapped.mesh, mapped.maps.kind) == (simple, "none")
 
 
 def test_switched_off():
-    mapped = trunk_maps(simplified(FULL), FULL, replace(SMALL, enabled=False))
+    mapped = baked(simplified(FULL), FULL, replace(SMALL, enabled=False))
     assert mapped.maps.kind == "none"
 
 
 def test_a_trunk_that_was_not_simplified_has_no_use_for_maps():
     mesh = untiled(textured(FULL, color_map=image((200, 40, 40))))
-    mapped = trunk_maps(mesh, mesh, SMALL)
+    mapped = baked(mesh, mesh)
     assert (mapped.mesh, mapped.maps.kind) == (mesh, "tiled")
+
+
+def test_a_trunk_that_lost_its_twigs_alone_keeps_its_maps():
+    kept = untiled(textured(FULL, color_map=image((200, 40, 40))))
+    full = joined(kept, stem(radii=[0.01] * 9, at=(1, 0, 0)))
+    mapped = trunk_maps(kept, kept, full, None, SMALL)
+    assert (mapped.mesh, mapped.maps.kind) == (kept, "tiled")
+    assert trunk_maps(simplified(kept), kept, full, None, SMALL).maps.kind == "unique"
+
+
+def with_alpha(texture: Texture) -> Texture:
+    texture.pixels[:8, :, 3] = 0
+    return texture
+
+
+def test_light_looked_up_apart_is_baked():
+    shade = image((255, 255, 255), (0, 0, 0))
+    shade.pixels[..., :3] = np.linspace(0, 255, 64).astype(np.uint8)[:, None, None]
+    full = replace(textured(FULL, color_map=image((90, 60, 30)), occlusion_map=shade), occlusion_uvs=untiled(FULL).uvs)
+    mapped = baked(simplified(full), full)
+    texture = mapped.mesh.materials[0].occlusion_map
+    height = places(mapped.mesh, texture.pixels.shape[0])[:, 1] / 2
+    assert mapped.maps.kind == "tiled"
+    middle = np.abs(height - 0.5) < 0.25  # a map repeats, so that its ends are filtered into each other
+    assert np.abs(shown(mapped.mesh, texture)[:, 0] / 255 - height)[middle].max() < 0.05
+
+
+@pytest.mark.parametrize("mode", [AlphaMode.MASK, AlphaMode.BLEND])
+@pytest.mark.parametrize("where", ["factor", "map"])
+def test_bark_that_is_not_opaque_keeps_its_materials(mode: AlphaMode, where: str):
+    colors = image((200, 40, 40))
+    clear = {"base_color": (1, 1, 1, 0.5)} if where == "factor" else {"color_map": with_alpha(colors)}
+    full = untiled(textured(FULL, **({"color_map": colors, "alpha_mode": mode, "alpha_cutoff": 0.4} | clear)))
+    simple = simplified(full)
+    assert (baked(simple, full).mesh, baked(simple, full).maps.kind) == (simple, "tiled")
+    seen = replace(full, occlusion=np.full(len(full.uvs), 0.5, np.float32))
+    (material,) = baked(simplified(seen), seen).mesh.materials
+    assert (material.alpha_mode, material.alpha_cutoff) == (mode, 0.4)
+    assert material.color_map is full.materials[0].color_map
+    assert material.occlusion_map is not None
+
+
+def test_bark_that_light_goes_through_keeps_its_material():
+    full = untiled(textured(FULL, color_map=image((200, 40, 40)), transmission=Transmission(0.5, (1, 1, 1))))
+    assert baked(simplified(full), full).maps.kind == "tiled"
+
+
+@pytest.mark.parametrize("mode", AlphaMode)
+def test_alpha_that_does_not_count(mode: AlphaMode):
+    colors = image((200, 40, 40))
+    leaf = Material("leaf", color_map=with_alpha(image((0, 200, 0))), alpha_mode=AlphaMode.MASK)  # no face uses it
+    full = textured(FULL, color_map=with_alpha(colors) if mode is AlphaMode.OPAQUE else colors, alpha_mode=mode)
+    full = replace(untiled(full), materials=(*full.materials, leaf))
+    assert baked(simplified(full), full).maps.kind == "unique"
+
+
+def test_all_levels_decide_as_the_finest():
+    full = textured(FULL, color_map=image((90, 60, 30), (20, 10, 5)))
+    simple, density = simplified(full), baked(simplified(full), full).maps.source_density
+    assert baked(simple, full).maps.kind == "tiled"
+    for near, kind in ((2 * density, "unique"), (density / 2, "tiled")):
+        finest = TrunkMaps(kind, density, near)
+        for height in (16, 64, 256):
+            coarser = replace(SMALL, size=1024, height=height)
+            assert trunk_maps(simple, full, full, finest, coarser).maps.kind == kind
 
 
 @pytest.mark.parametrize("uvs", [((0, 0),) * 3, ((0, 0), (3, 0), (0, 3)), ((0, 0), (1, 0), (0, 1))])
 def test_a_single_triangle(uvs: object):
     full = textured(stem(), color_map=image((10, 200, 10)))
-    mapped = trunk_maps(mesh_of(np.eye(3), [(0, 1, 2)], uvs), replace(full, uvs=full.uvs * 0), SMALL)
+    mapped = baked(mesh_of(np.eye(3), [(0, 1, 2)], uvs), replace(full, uvs=full.uvs * 0))
     (material,) = mapped.mesh.materials
     assert np.abs(shown(mapped.mesh, material.color_map).astype(int) - (10, 200, 10)).max() <= 1
 
@@ -220,7 +289,7 @@ def test_odd_trunks_show_their_source_everywhere(name: str):
     full = replace(full, materials=(*full.materials, moss), face_material=np.where(np.arange(full.triangles) % 2, 0, 1))
     full = replace(full, face_material=full.face_material.astype(np.int32))
     simple = simplified(replace(full, face_material=full.face_material * 0), max(full.triangles // 3, 3))
-    mapped = trunk_maps(simple, full, SMALL)
+    mapped = baked(simple, full)
     mesh, (material,) = mapped.mesh, mapped.mesh.materials
     assert mapped.maps.kind == "unique"
     assert mesh.triangles == (simple.face_areas > 0).sum()
@@ -242,7 +311,7 @@ def test_odd_trunks_show_their_source_everywhere(name: str):
 
 def test_no_texel_serves_two_faces():
     full = together(*(stem(radii=np.linspace(0.3, 0.1, 12), at=(i, 0, 0), capped=i == 0) for i in range(6)))
-    mesh = trunk_maps(simplified(full, 200), full, replace(SMALL, size=256, height=256)).mesh
+    mesh = baked(simplified(full, 200), full, replace(SMALL, size=256, height=256)).mesh
     d1, d2 = (mesh.uvs[mesh.faces[:, end]] - mesh.uvs[mesh.faces[:, 0]] for end in (1, 2))
     area = np.abs(d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]).sum() / 2
     size = 2048
@@ -261,7 +330,7 @@ def test_every_tube_is_unwrapped_alike_twice(radii: list[float], sides: int, sca
     full = stem(radii=radii, sides=sides, capped=capped)
     full = replace(full, positions=full.positions * np.float32(scale))
     simple = simplified(full, full.triangles // 3)
-    one, other = (trunk_maps(simple, full, SMALL) for _ in range(2))
+    one, other = (baked(simple, full) for _ in range(2))
     assert one.mesh.uvs.tobytes() == other.mesh.uvs.tobytes()
     maps = [each.mesh.materials[0].normal_map for each in (one, other)]
     assert (maps[0] and maps[0].pixels.tobytes()) == (maps[1] and maps[1].pixels.tobytes())
@@ -279,10 +348,10 @@ def test_every_tube_is_unwrapped_alike_twice(radii: list[float], sides: int, sca
 )
 def test_settings_out_of_range(changed: dict[str, int], message: str):
     with pytest.raises(SettingsError, match=message):
-        trunk_maps(FULL, FULL, replace(SMALL, **changed))
+        baked(FULL, FULL, replace(SMALL, **changed))
 
 
 def test_more_charts_than_texels():
     full = ODD["hundreds of open tubes"]
     with pytest.raises(SettingsError, match=r"\[trunk_maps\] size is 16, too few texels for the 300 charts"):
-        trunk_maps(simplified(full, full.triangles // 2), full, replace(SMALL, size=16))
+        baked(simplified(full, full.triangles // 2), full, replace(SMALL, size=16))

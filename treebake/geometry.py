@@ -148,6 +148,18 @@ def reject(vectors: Doubles, axes: Doubles) -> Doubles:
     return rest
 
 
+def texture_axes(places: Doubles, uvs: Doubles) -> tuple[Doubles, Doubles, Doubles]:
+    """How texture coordinates lie on triangles with corners at places (F, 3, 3) and uvs (F, 3, 2).
+
+    Returns the directions of growing u and of growing v, (F, 3) float64, and (F,) twice the area on the texture, below
+    0 where it is wound the other way; both are lengths per u and per v times its size, zero where it is 0.
+    """
+    (e1, e2), (d1, d2) = ((x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) for x in (places, uvs))
+    area: Doubles = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    turn = np.sign(area)[:, None]
+    return (e1 * d2[:, 1:] - e2 * d1[:, 1:]) * turn, (e2 * d1[:, :1] - e1 * d2[:, :1]) * turn, area
+
+
 def turn_to(elevation: float, azimuth: float) -> Doubles:
     """The world's axes as seen by who looks at its origin: (3, 3) float64, rows right, up, towards the viewer.
 

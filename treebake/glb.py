@@ -11,7 +11,7 @@ import numpy as np
 
 from treebake import __version__
 from treebake.files import atomic
-from treebake.geometry import reject
+from treebake.geometry import reject, texture_axes
 from treebake.images import encode_texture, mean_texel
 from treebake.model import AlphaMode, Floats, Ints, Material, Mesh, Morph, Texture, Transmission
 
@@ -327,14 +327,12 @@ def _tangents(positions: Floats, normals: Floats, uvs: Floats, faces: Ints) -> F
 
     (V, 4) float32; where the texture coordinates leave the direction open it is any one at right angles to the normal.
     """
-    p, uv, n = positions[faces].astype(np.float64), uvs[faces].astype(np.float64), normals.astype(np.float64)
-    (e1, e2), (d1, d2) = ((x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) for x in (p, uv))
-    winding = d2[:, 0] * d1[:, 1] - d1[:, 0] * d2[:, 1]  # positive where the image is not mirrored: v grows downwards
-    along_u = (e2 * d1[:, 1:] - e1 * d2[:, 1:]) * np.sign(winding)[:, None]
+    n = normals.astype(np.float64)
+    along_u, _, winding = texture_axes(positions[faces].astype(np.float64), uvs[faces].astype(np.float64))
     tangents, sides = np.zeros_like(n), np.zeros(len(n))
     for corner in faces.T:
         np.add.at(tangents, corner, along_u)
-        np.add.at(sides, corner, winding)
+        np.add.at(sides, corner, -winding)  # positive where the image is not mirrored: v grows downwards
     tangents = reject(tangents, n)
     lost = np.linalg.norm(tangents, axis=1) < 1e-12
     tangents[lost] = reject(np.eye(3)[np.abs(n[lost]).argmin(axis=1)], n[lost])

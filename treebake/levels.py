@@ -18,7 +18,7 @@ import numpy as np
 from treebake.checks import check
 from treebake.errors import SettingsError
 from treebake.geometry import join
-from treebake.model import BakedLevel, BillboardCloud, Clusters, Hierarchy, Mesh, Tree
+from treebake.model import BakedLevel, BillboardCloud, Clusters, Hierarchy, MappedTrunk, Mesh, Tree
 from treebake.morph import morph_to_next
 from treebake.planes import with_pieces
 from treebake.stages.billboards import BillboardSettings, billboards
@@ -63,11 +63,11 @@ def bake_levels(
     parts: Result[Tree],
     tree: Result[Tree],
     planes: Result[Hierarchy] | None,
-    solid: Mesh,
+    finest: MappedTrunk,
 ) -> tuple[BakedLevel, ...]:
     """Bake every coarser level, from near to far.
 
-    parts: the tree as it was split. tree, planes, solid: of the finest level, the tree's first leaves those of the
+    parts: the tree as it was split. tree, planes, finest: of the finest level, the tree's first leaves those of the
     split; planes: None where there is no foliage, and each level is a trunk alone. Levels for which there are too few
     planes, or for want of foliage no fewer triangles than in the level above, are left out.
     Raises what the stages raise.
@@ -93,13 +93,14 @@ def bake_levels(
             placed = _placed(settings, clusters, tree.value, sparse.value, split.leaves.count)
             cloud = work.run(billboards, plan.textures, sparse, Result.of(placed), name=f"billboards_{number}").value
             cloud = morph_to_next(cloud, planes.value, number)
-        elif not 0 < left.triangles < (levels[-1].trunk if levels else solid).triangles:
+        elif not 0 < left.triangles < (levels[-1].trunk if levels else finest.mesh).triangles:
             continue
         leaves = sparse.value.leaves
         pieces = sparse.value.foliage.select(leaves.is_twig[leaves.face_leaf])
         kept = silhouette_iou(split.trunk, join(left, pieces), views, plan.height) if split.trunk.triangles else None
         area = compare(split.trunk, left, pieces).silhouette_kept
-        mapped = work.run(trunk_maps, plan.maps, solid_left, parts.part("trunk"), name=f"trunk_maps_{number}").value
+        surfaces = solid_left, sparse.part("trunk"), parts.part("trunk"), Result.of(finest.maps)
+        mapped = work.run(trunk_maps, plan.maps, *surfaces, name=f"trunk_maps_{number}").value
         levels.append(BakedLevel(cloud, mapped.mesh, plan.height, kept, area, mapped.maps))
     return tuple(levels)
 

@@ -490,9 +490,9 @@ class Impostor:
 class TrunkMaps:
     """How a simplified trunk shows the full one's surface.
 
-    kind: "tiled", by the source's own textures, which repeat, or whose trunk was not simplified; "unique", by maps of
-    its own; "none", it has no maps. source_density, density: texels per unit of the source's repeating textures, 0
-    where none repeat, and of maps of its own.
+    kind: "tiled", by the source's own textures, which repeat or are not opaque, or whose trunk was not simplified;
+    "unique", by maps of its own; "none", it has no maps. source_density, density: texels per unit of the source's
+    repeating textures, 0 where none repeat, and of maps of its own.
     """
 
     kind: str

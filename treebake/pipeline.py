@@ -240,7 +240,8 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
         if settings.slicings.enabled:
             sparse = work.run(twigs, settings.slicing_twigs, parts, name="slicing_twigs")
             thick = work.run(trunk, settings.slicing_trunk, sparse.part("trunk"), name="slicing_trunk")
-            mapped = work.run(trunk_maps, settings.trunk_maps, thick, parts.part("trunk"), name="slicing_trunk_maps")
+            surfaces = thick, sparse.part("trunk"), parts.part("trunk"), Result.of(None)
+            mapped = work.run(trunk_maps, settings.trunk_maps, *surfaces, name="slicing_trunk_maps")
             sliced = work.run(slicings, settings.slicings, sparse).value
             sliced = replace(sliced, solid=join(mapped.value.mesh, sliced.solid))
         clusters = work.read("cluster", command, leaves)
@@ -251,7 +252,8 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
     else:
         cloud = BillboardCloud(tree.value.foliage, np.zeros(0, np.int32))
     solid = work.run(trunk, settings.trunk, tree.part("trunk"))
-    finest = work.run(trunk_maps, settings.trunk_maps, solid, parts.part("trunk")).value
+    surfaces = solid, tree.part("trunk"), parts.part("trunk"), Result.of(None)
+    finest = work.run(trunk_maps, settings.trunk_maps, *surfaces).value
     return BakedTree(
         name=source.name,
         cloud=cloud,
@@ -262,7 +264,7 @@ def _baked(work: Workspace, settings: Settings, impostor: Impostor | None) -> Ba
         views=impostor,
         source_triangles=source.triangles,
         source_bounds=source.bounds,
-        levels=bake_levels(work, settings, parts, tree, planes, finest.mesh) if settings.levels.enabled else (),
+        levels=bake_levels(work, settings, parts, tree, planes, finest) if settings.levels.enabled else (),
         translucency=parts.value.translucency,
     )
 

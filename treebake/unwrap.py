@@ -13,7 +13,7 @@ import numpy as np
 import xatlas
 
 from treebake.errors import SettingsError
-from treebake.geometry import components
+from treebake.geometry import components, texture_axes
 from treebake.model import Doubles, Floats, Ints, Longs, Mesh
 
 _STRETCH = 4.0  # a chart's own coordinates may be longer or shorter than the surface by this factor
@@ -109,12 +109,10 @@ def _own_coordinates(mesh: Mesh, part: Longs) -> tuple[Doubles, Longs]:
     """The texture coordinates (F, 3, 2), scaled to lengths for each part, and whether they make a chart of it."""
     count, areas = int(part.max()) + 1, mesh.face_areas
     corners = mesh.uvs[mesh.faces].astype(np.float64)
-    place = mesh.positions[mesh.faces].astype(np.float64)
-    (e1, e2), (d1, d2) = ((x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) for x in (place, corners))
-    det = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    along_u, along_v, det = texture_axes(mesh.positions[mesh.faces].astype(np.float64), corners)
     flat = np.abs(det) <= 1e-9 * np.abs(corners).max(axis=(1, 2), initial=1e-9) ** 2
-    inverse = (1 / np.where(flat, np.inf, det))[:, None]
-    along_u, along_v = (e1 * d2[:, 1:] - e2 * d1[:, 1:]) * inverse, (e2 * d1[:, :1] - e1 * d2[:, :1]) * inverse
+    inverse = (1 / np.where(flat, np.inf, np.abs(det)))[:, None]
+    along_u, along_v = along_u * inverse, along_v * inverse
     total = np.bincount(part, areas, count)
     scale = np.stack(
         [np.bincount(part, areas * np.linalg.norm(along, axis=1), count) / total for along in (along_u, along_v)],

@@ -19,7 +19,7 @@ def _a6(run: Runner) -> Measured:
     for name in TREES:
         full = split(read_mesh(run.source(name)), SplitSettings()).trunk
         bare = trunk(full, TrunkSettings(full.triangles // 20))
-        mapped = trunk_maps(bare, full, TrunkMapSettings())
+        mapped = trunk_maps(bare, full, full, None, TrunkMapSettings())
         values.append(_flip_ratio(full, mapped.mesh))
         maps = mapped.maps
         notes.append(

@@ -5,7 +5,7 @@ tubes of a sapling birch, quadric edge collapse can drop 9 %, or more at the cos
 """
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,7 +39,8 @@ def trunk(mesh: Mesh, settings: TrunkSettings) -> Mesh:
 
     One tolerance governs all tubes: every ring stays whose loss would move the silhouette farther, and every ring has
     the sides that keep it within, so triangles go where the silhouette needs them. The mean width of each ring and the
-    area of the silhouette around it are kept; material, texture coordinates and normals are the source's.
+    area of the silhouette around it are kept; material, texture coordinates and normals are the source's. Where
+    occlusion maps have texture coordinates of their own, both are dropped; `trunk_maps` bakes them from the source.
     The budget is a hard cap: where three-sided tubes of one section are still too many, the smallest are left out, and
     more of them, so that the others keep their shape; with a warning.
 
@@ -49,6 +50,9 @@ def trunk(mesh: Mesh, settings: TrunkSettings) -> Mesh:
         raise SettingsError(f"[trunk] triangles is {settings.triangles}; it must be above 0")
     if mesh.triangles <= settings.triangles:
         return mesh
+    if mesh.occlusion_uvs is not None:
+        bare = tuple(replace(material, occlusion_map=None) for material in mesh.materials)
+        mesh = replace(mesh, occlusion_uvs=None, materials=bare)
     tubes = find_tubes(mesh)
     solid = mesh.select((tubes.face_ring < 0) & (mesh.face_areas > 0))
     if solid.triangles:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from treebake.geometry import reject, texture_axes
 from treebake.gl.uv_bake import face_texels
 from treebake.images import bleed
 from treebake.model import Doubles, Floats, Longs, Mesh
@@ -26,7 +27,7 @@ class Frame:
 
         The twin of `normal_map.glsl`; tangent and bitangent are zero where there is no texture direction.
         """
-        tangent = self.along_u - self.normals * (self.along_u * self.normals).sum(axis=1, keepdims=True)
+        tangent = reject(self.along_u, self.normals)
         length = np.linalg.norm(tangent, axis=1, keepdims=True)
         tangent /= np.where(length > 0, length, 1)
         bitangent = np.cross(self.normals, tangent)
@@ -80,13 +81,11 @@ def blended(corners: Floats, face: Longs, weights: Doubles) -> Doubles:
 
 def frame_at(mesh: Mesh, uvs: Floats, face: Longs, weights: Doubles) -> Frame:
     """The frames of points of a mesh at `uvs` (V, 2)."""
-    place, flat = mesh.positions[mesh.faces].astype(np.float64), uvs[mesh.faces].astype(np.float64)
-    (e1, e2), (d1, d2) = ((x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]) for x in (place, flat))
-    turn = np.sign(d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0])[:, None]
-    along_u, along_v = (e1 * d2[:, 1:] - e2 * d1[:, 1:]) * turn, (e2 * d1[:, :1] - e1 * d2[:, :1]) * turn
+    corners = mesh.positions[mesh.faces].astype(np.float64)
+    along_u, along_v, _ = texture_axes(corners, uvs[mesh.faces].astype(np.float64))
     normals = blended(mesh.normals[mesh.faces], face, weights)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
-    flat_normals = np.cross(e1, e2)[face]
+    flat_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[face]
     flat_normals /= np.linalg.norm(flat_normals, axis=1, keepdims=True)
     normals = np.where(length > 0, normals / np.where(length > 0, length, 1), flat_normals)
     return Frame(along_u[face], along_v[face], normals)

@@ -1,7 +1,8 @@
 """Gives a simplified trunk maps of what the full one looks like ([GPSS07] 5.2).
 
-Bark that the source repeats stays as it is, since a map of the whole trunk would blur it; then only the light that
-reaches it is baked, over texture coordinates of its own. All else is unwrapped and gets one material.
+Bark that the source repeats stays as it is, since a map of the whole trunk would blur it, and so does bark that lets
+light through, which one opaque material cannot show; then only the light that reaches it is baked, over texture
+coordinates of its own. All else is unwrapped and gets one material.
 """
 
 from dataclasses import dataclass, replace
@@ -10,7 +11,7 @@ import numpy as np
 
 from treebake.checks import check, is_power_of_two
 from treebake.images import color_texels, normal_texels
-from treebake.model import Bytes, Doubles, Floats, MappedTrunk, Material, Mesh, Texture, TrunkMaps
+from treebake.model import AlphaMode, Bytes, Doubles, Floats, MappedTrunk, Material, Mesh, Texture, TrunkMaps
 from treebake.stages.trunk_maps.source import (
     source_colors,
     source_normals,
@@ -36,18 +37,25 @@ class TrunkMapSettings:
     0.272, 0.272 (0.06, 0.14, 0.14 MB).
     """
 
-    enabled: bool = True  # bake maps of the full trunk for the simplified one
+    enabled: bool = True  # bake maps of the full trunk for the simplified one; else its occlusion is not stored
     size: int = 512  # greatest side of a map, texels, a power of two, 16 to 4096
     height: int = 512  # pixels of the trunk's greatest extent that a map is fine enough for, 16 to 4096
 
 
-def trunk_maps(simple: Mesh, full: Mesh, settings: TrunkMapSettings) -> MappedTrunk:
-    """Bake the colour, normals, occlusion and roughness of `full` for `simple`, which is full simplified.
+def trunk_maps(
+    simple: Mesh, given: Mesh, full: Mesh, finest: TrunkMaps | None, settings: TrunkMapSettings
+) -> MappedTrunk:
+    """Bake the colour, normals, occlusion and roughness of `full` for `simple`.
 
-    "tiled": full repeats its textures, which are finer than a map that uses each texel once, or it was not simplified;
-    materials, texture coordinates and maps stay, and where occlusion is known it goes into one map over
-    `occlusion_uvs`. "unique": one material, with the maps that say more than its factors do. "none": it is switched
-    off, or there is no trunk. Faces without area are left out. Raises SettingsError and GraphicsError.
+    given: what simple was simplified from, full without the twigs that moved; as many triangles: it was not. finest: of
+    the tree's finest level, None where this is it; the source's textures are compared with a map of that level, so that
+    a tree's levels do not differ in it.
+
+    "tiled": full repeats its textures, which are finer than a map that uses each texel once, or is not opaque, or was
+    not simplified; materials, texture coordinates and maps stay, and where occlusion is known it goes into one map over
+    `occlusion_uvs`. Not opaque is a material with an alpha below 1 that counts, in its factor or anywhere in its map,
+    or with a transmission. "unique": one opaque material, with the maps that say more than its factors do. "none": it
+    is switched off, or there is no trunk. Faces without area are left out. Raises SettingsError and GraphicsError.
     """
     rules = (
         ("size", is_power_of_two(settings.size, 16, 4096), "a power of two, 16 to 4096"),
@@ -60,12 +68,18 @@ def trunk_maps(simple: Mesh, full: Mesh, settings: TrunkMapSettings) -> MappedTr
     wanted = _PIXEL * settings.height / float(np.ptp(source.bounds, axis=0).max())
     charts = unwrap(kept, wanted, settings.size)
     tiled = tiled_density(source)
-    if tiled > charts.density or kept.triangles == source.triangles:
+    density = finest.density if finest and finest.density else charts.density
+    if tiled > density or simple.triangles == given.triangles or not all(map(_is_opaque, used_materials(source))):
         maps = TrunkMaps("tiled", tiled, charts.density)
         if not _has_occlusion(source):
             return MappedTrunk(simple, maps)
         return MappedTrunk(_with_occlusion(kept, source, unwrap(kept, wanted / _SMOOTH, settings.size)), maps)
     return MappedTrunk(_with_maps(kept, source, charts), TrunkMaps("unique", tiled, charts.density))
+
+
+def _is_opaque(material: Material) -> bool:
+    clear = material.base_color[3] < 1 or (material.color_map is not None and material.color_map.has_alpha)
+    return material.transmission is None and not (clear and material.alpha_mode is not AlphaMode.OPAQUE)
 
 
 def _has_occlusion(source: Mesh) -> bool:
