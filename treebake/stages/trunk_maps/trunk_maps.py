@@ -37,7 +37,7 @@ class TrunkMapSettings:
     0.272, 0.272 (0.06, 0.14, 0.14 MB).
     """
 
-    enabled: bool = True  # bake maps of the full trunk for the simplified one; else its occlusion is not stored
+    enabled: bool = True  # bake maps of the full trunk for the simplified one; false: it stores no occlusion
     size: int = 512  # greatest side of a map, texels, a power of two, 16 to 4096
     height: int = 512  # pixels of the trunk's greatest extent that a map is fine enough for, 16 to 4096
 
