@@ -127,7 +127,11 @@ def test_settings_out_of_range_are_refused_by_name(name: str, value: object) -> 
 
 def test_the_report_is_a_table_json_and_sheets(tmp_path: Path) -> None:
     reports = {"cloud": same(), "views": found(EMPTY_MESH, settings=replace(QUICK, hours=0))}
+    for stale in ("slicings_suns.png", "views_day.png", "views_512px.png"):
+        (tmp_path / stale).touch()
     write_light_report(reports, tmp_path)
+    assert not (tmp_path / "slicings_suns.png").exists()
+    assert (tmp_path / "views_512px.png").exists()  # of the other report
     assert json.loads((tmp_path / "light.json").read_text()) == light_facts(reports)
     assert light_facts(reports)["views"]["day"] is None
     head, cloud, views = format_light(reports).splitlines()

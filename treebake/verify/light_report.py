@@ -16,6 +16,7 @@ from treebake.verify.metrics import SKY, over
 from treebake.verify.relit import Pair
 
 _DECIMALS = 5
+_SHEETS = ("suns", "ground", "day", "light")
 _FIGURES = ("relit", "shadows", "day")
 _PAPER = (1.0, 1.0, 1.0)
 _ROW = 8  # hours side by side
@@ -68,6 +69,9 @@ def write_light_report(reports: Mapping[str, LightReport], folder: Path) -> None
 
     Raises WorkspaceError where the folder cannot be written.
     """
+    for what in _SHEETS:
+        for sheet in folder.glob(f"*_{what}.png"):  # of an earlier run, which light.json will not tell of
+            sheet.unlink(missing_ok=True)
     for name, report in reports.items():
         steps = [getattr(report.steps, field.name) for field in fields(report.steps)]
         sheets = {
