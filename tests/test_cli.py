@@ -530,7 +530,7 @@ def test_verify_light_judges_every_representation(asset: Path, tree: Path, treeb
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--set", 'verify.representations=["cloud_same_bytes"]'], "light.heights has none of cloud_same_bytes"),
+        (["--set", 'verify.representations=["cloud_same_bytes"]'], "names none of them but cloud_same_bytes"),
         (["--set", "light.heights.cloud=8"], "[light] heights"),
         (["--quick"], "--light has no thresholds"),
         (["--threshold", "flip=1"], "--light has no thresholds"),

@@ -476,7 +476,9 @@ def verify_light(
     asked = settings.verify.representations or tuple(heights)
     wanted = tuple(name for name in asked if name in heights)
     if not wanted:
-        raise SettingsError(f"light.heights has none of {', '.join(asked)}; add one, or change verify.representations")
+        raise SettingsError(
+            f"--light judges {', '.join(heights)}, and verify.representations names none of them but {', '.join(asked)}"
+        )
     judged = representations(asset, set(heights.values()), replace(settings.verify, representations=wanted))
     views = cameras(mesh, settings.verify.elevations, settings.verify.azimuths)[SCALE]
     crown, lit = _crown(tree), _in_full_light(tree, asset, settings)

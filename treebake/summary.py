@@ -85,7 +85,9 @@ def of_baked(baked: "Baked") -> Facts:
 def _phrase(maps: TrunkMaps) -> str:
     if maps.kind == "none":
         return maps.kind
-    source = f"{maps.source_density:.3g}" if maps.source_density else "no repeating"
+    if maps.kind == "tiled" and maps.source_density <= maps.density:
+        return "tiled: the source's own, because the trunk was not simplified or is not opaque"
+    source = f"{maps.source_density:.3g} repeating" if maps.source_density else "no repeating"
     return f"{maps.kind}: the source has {source} texels per unit, a map of its own {maps.density:.3g}"
 
 

@@ -49,5 +49,5 @@ def far_and_near(view: View, grove: Grove, center: Doubles, size: float, pixels:
 
     One distance for all, so that what is drawn first lies behind what is drawn second. size: of the tree, unscaled.
     """
-    near = grove.away(view.eye, center) * pixels <= size * view.eye_focus * grove.places[:, 3].max(initial=0)
+    near = grove.away(view.eye, center) * pixels <= size * view.eye_focus * float(grove.places[:, 3].max(initial=0))
     return grove.select(~near), grove.select(near)

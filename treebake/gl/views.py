@@ -12,6 +12,11 @@ from treebake.model import Views
 _HINT = "bake with fewer [views] texels"
 _FLAT_LAYERS = 9  # of all views together: what a vertex can tell its fragments
 
+# Texels by which depth may be off, so that a view does not shade itself. Part of the sunlight that its own shadow takes
+# from a chestnut, an oak and a cypress' closed hull (the sources': 0.51, 0.58, 0.02): 0 texels 0.52, 0.57, 0.58; 1
+# 0.48, 0.51, 0.25; 2 0.45, 0.46, 0.12.
+_VAGUE = 1.0
+
 # Pixels of a tree's bounding sphere from which on each layer of a view is looked into; below it is flat.
 RELIEF_HEIGHT = 40.0
 
@@ -87,6 +92,7 @@ class ViewCards:
             "brightness": views.brightness,
             "transmission": transmitted(views.transmission),
             "exposure": views.exposure,
+            "vague": _VAGUE / self._density if self._density else 0.0,
             "support": views.support.tolist(),
         }
         draw_cards(self._gl, shader, self._textures, values, view, grove, views.center, 3 * views.triangles)

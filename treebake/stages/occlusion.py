@@ -36,7 +36,7 @@ _LEAFLESS = 5e-4  # of the tree's greatest extent, where there is no leaf
 class OcclusionSettings:
     """How finely the sky is looked at."""
 
-    directions: int = 256  # from which light of the sky comes, even, 2 to 4096; 0: every vertex sees the whole sky
+    directions: int = 256  # how many, from which each vertex looks at the sky, even, 2 to 4096; 0: it sees all of it
     texels: int = 512  # of a depth map's side, 16 to 4096
     seed: int = 0  # of the turn of all directions, 0 or more
 

@@ -34,7 +34,7 @@ _DARKEST = 1e-4  # of a mean colour on which another is a factor
 class TranslucencySettings:
     """What light goes through leaves; what the source says wins."""
 
-    enabled: bool = True  # light goes through leaves; false: none at all, not even where the source says so
+    enabled: bool = True  # whether light goes through leaves; false: none does, not even where the source says so
     leaf_type: str = "auto"  # of materials that do not say: "broad", "needle", or "auto", by the shape of their leaves
 
 

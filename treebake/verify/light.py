@@ -35,7 +35,7 @@ class LightSettings:
     heights: dict[str, int] = field(
         default_factory=lambda: {"cloud": 256, "indirect": 512, "leaves": 512, "slicings": 128, "views": 64}
     )  # of the source's bounding sphere, pixels, at which each representation is relit, 16 to 2048
-    directions: int = 512  # from which light of the sky comes to the source, even, 2 to 4096; 0: it sees the whole sky
+    directions: int = 512  # how many, from which the source looks at the sky, even, 2 to 4096; 0: it sees all of it
     shadow_texels: int = 1024  # of the shadow maps, a side, 64 to 8192
     elevation: float = 45.0  # of the suns whose shadows are compared, degrees, 5 to 90
     azimuths: int = 4  # of these suns, evenly spaced, 1 or more
@@ -70,7 +70,7 @@ def check_light(settings: LightSettings) -> None:
     even = settings.directions % 2 == 0 and 0 <= settings.directions <= 4096
     rules = (
         ("suns", 1 <= settings.suns <= 64, "1 to 64"),
-        ("heights", heights, f"16 to 2048, for one or more of {', '.join(known)}"),
+        ("heights", heights, f"pixels from 16 to 2048, for one or more of {', '.join(known)} and no other names"),
         ("directions", even, "an even number from 2 to 4096, or 0"),
         ("shadow_texels", 64 <= settings.shadow_texels <= 8192, "64 to 8192"),
         ("elevation", 5 <= settings.elevation <= 90, "5 to 90"),

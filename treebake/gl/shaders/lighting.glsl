@@ -28,6 +28,7 @@ const float SUN_SOFTNESS = 0.5;
 
 #ifdef SHADED
 uniform sampler2DShadow shadow_map;
+uniform float vague;        // how far the depths of what is drawn are off, in the tree's unit: 0 but for pictures
 uniform vec4 transmission;  // factors on the albedo for what goes through, and which part of the light that is
 
 const float STEEPEST_LEAN = 16.0;  // tangent of the angle to the sun up to which a surface does not shade itself
@@ -38,7 +39,7 @@ const float STEEPEST_LEAN = 16.0;  // tangent of the angle to the sun up to whic
 float sunlit(vec3 point, float cosine) {
     float lean = min(sqrt(max(1.0 - cosine * cosine, 0.0)) / max(abs(cosine), 1e-3), STEEPEST_LEAN);
     float w = (to_shadow * vec4(point, 1.0)).w;
-    float away = texel * max(w, w * w) * (1.0 + 1.5 * lean);
+    float away = vague + texel * max(w, w * w) * (1.0 + 1.5 * lean);
     vec4 at = to_shadow * vec4(point + sun_direction * away, 1.0);
     return texture(shadow_map, at.xyz / at.w);
 }
