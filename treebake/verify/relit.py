@@ -15,6 +15,7 @@ from treebake.verify.cameras import Camera
 from treebake.verify.metrics import flips
 from treebake.verify.shaded import Shaded
 
+_NOTHING = 1e-6  # FLIP
 _SAME_PLACE = 1e-3  # of the tree's radius, by which depths that are the same may differ
 
 Pair = tuple[Picture, Picture]  # source, candidate
@@ -65,11 +66,12 @@ def relit(
     ours, theirs = zip(*pictures, strict=True)
     errors, floor = flips(ours, theirs), flips(ours, floors)
     of_sun = [slice(sun, None, len(suns)) for sun in range(min(len(suns), len(views)))]
-    by_sun = [errors[seen].mean() / max(floor[seen].mean(), 1e-12) for seen in of_sun]
+    # Where the source is seen edge-on, what is moved is the same.
+    by_sun = [errors[seen].mean() / floor[seen].mean() for seen in of_sun if floor[seen].mean() > _NOTHING]
     figures = Relit(
         flip=float(errors.mean()),
         flip_ratio=float(errors.mean() / max(floor.mean(), 1e-12)),
-        flip_ratio_worst=float(max(by_sun)),
+        flip_ratio_worst=float(max(by_sun, default=0.0)),
         leaf_depth=_leaf_depth(crown, pictures, height, views) if crown else None,
     )
     return figures, tuple(pictures[: len(suns)])
