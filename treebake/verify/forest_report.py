@@ -11,7 +11,8 @@ import numpy as np
 from treebake.files import atomic
 from treebake.images import encode_png, to_srgb
 from treebake.verify.approach import Change
-from treebake.verify.walk import Frame, Walk
+from treebake.verify.tables import aligned, cell, rounded
+from treebake.verify.walk import Walk
 
 _SUMS = ("speed_up_worst", "speed_up_mean", "worst", "mean", "flip_ratio")
 _COLUMNS = (  # heading, figure, format
@@ -29,19 +30,21 @@ def forest_facts(found: Walk, changes: Mapping[str, Sequence[Change]]) -> dict[s
     """Everything as plain values for JSON. changes: of each species' ladder."""
     return {
         "renderer": found.renderer,
-        **_rounded({name: getattr(found, name) for name in _SUMS}),
+        **rounded({name: getattr(found, name) for name in _SUMS}),
         "gpu_bytes": found.gpu_bytes,
-        "frames": [_rounded(asdict(frame)) for frame in found.frames],
-        "changes": {name: [_rounded(asdict(change)) for change in each] for name, each in changes.items()},
+        "frames": [rounded(asdict(frame)) for frame in found.frames],
+        "changes": {name: [rounded(asdict(change)) for change in each] for name, each in changes.items()},
     }
 
 
 def format_forest(found: Walk, changes: Mapping[str, Sequence[Change]]) -> str:
     """Lay the frames out for a terminal, the sums and the changes of rungs below."""
     rows = [["frame", *(heading for heading, _, _ in _COLUMNS)]]
-    rows += [[str(number), *_cells(frame)] for number, frame in enumerate(found.frames)]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
+    rows += [
+        [str(number), *(cell(getattr(frame, figure), form) for _, figure, form in _COLUMNS)]
+        for number, frame in enumerate(found.frames)
+    ]
+    lines = aligned(rows)
     lines += ["", f"worst frame {found.worst:.1f} ms, mean {found.mean:.1f} ms ({found.renderer})"]
     if found.speed_up_worst and found.speed_up_mean:
         lines += [
@@ -69,12 +72,3 @@ def write_forest_report(found: Walk, changes: Mapping[str, Sequence[Change]], fo
             file.write(encode_png(np.concatenate(rows)))
     with atomic(folder / "forest.json") as file:
         file.write((json.dumps(forest_facts(found, changes), indent=2) + "\n").encode())
-
-
-def _cells(frame: Frame) -> list[str]:
-    values = [(getattr(frame, figure), form) for _, figure, form in _COLUMNS]
-    return ["-" if value is None else format(value, form) for value, form in values]
-
-
-def _rounded(values: dict[str, Any]) -> dict[str, Any]:
-    return {name: round(value, 5) if isinstance(value, float) else value for name, value in values.items()}

@@ -14,8 +14,8 @@ from treebake.model import Bytes, Floats
 from treebake.verify.light import LightReport
 from treebake.verify.metrics import SKY, over
 from treebake.verify.relit import Pair
+from treebake.verify.tables import aligned, cell, rounded
 
-_DECIMALS = 5
 _SHEETS = ("suns", "ground", "day", "light")
 _FIGURES = ("relit", "shadows", "day")
 _PAPER = (1.0, 1.0, 1.0)
@@ -41,7 +41,7 @@ def light_facts(reports: Mapping[str, LightReport]) -> dict[str, Any]:
     return {
         name: {
             "height": report.height,
-            **{part: _rounded(asdict(figures)) if (figures := getattr(report, part)) else None for part in _FIGURES},
+            **{part: rounded(asdict(figures)) if (figures := getattr(report, part)) else None for part in _FIGURES},
         }
         for name, report in reports.items()
     }
@@ -53,14 +53,7 @@ def format_light(reports: Mapping[str, LightReport]) -> str:
     for name, report in reports.items():
         cells = [_cell(getattr(report, part), figure, form) for _, part, figure, form in _COLUMNS]
         lines.append([name, str(report.height), *cells])
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join(
-        "  ".join(
-            cell.rjust(width) if index else cell.ljust(width)
-            for index, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
+    return "\n".join(aligned(lines, left=0))
 
 
 def write_light_report(reports: Mapping[str, LightReport], folder: Path) -> None:
@@ -103,9 +96,4 @@ def _grey(shadow: Floats) -> Bytes:
 
 
 def _cell(figures: Any, name: str, form: str) -> str:
-    value = figures and getattr(figures, name)
-    return "-" if value is None else format(value, form)
-
-
-def _rounded(values: dict[str, Any]) -> dict[str, Any]:
-    return {name: round(value, _DECIMALS) if isinstance(value, float) else value for name, value in values.items()}
+    return cell(figures and getattr(figures, name), form)

@@ -14,9 +14,9 @@ from treebake.model import Bytes, Floats
 from treebake.verify.figures import Figures
 from treebake.verify.morph import Morphing
 from treebake.verify.protocol import Level, Report, Sample
+from treebake.verify.tables import aligned, cell, rounded
 from treebake.verify.turn import Turn
 
-_DECIMALS = 5
 # Dark to light through purple, evenly spaced for the eye: matplotlib's "magma" at quarter steps.
 _RAMP = np.array([[0, 0, 4], [81, 18, 124], [183, 55, 121], [252, 137, 97], [252, 253, 191]], np.float64)
 _COLUMNS = (  # heading, figure, format
@@ -43,8 +43,8 @@ def as_dict(report: Report) -> dict[str, Any]:
         "misses": list(report.misses),
         "heights": [_level(level) for level in report.levels],
         "close_up": _level(report.close_up) if report.close_up else None,
-        "turn": _plain(report.turn) if report.turn else None,
-        "morphs": [_plain(each) for each in report.morphs],
+        "turn": rounded(asdict(report.turn)) if report.turn else None,
+        "morphs": [rounded(asdict(each)) for each in report.morphs],
     }
 
 
@@ -52,8 +52,8 @@ def _level(level: Level) -> dict[str, Any]:
     return {
         "height": level.height,
         "invisible": level.invisible,
-        **_plain(level.candidate),
-        "scale": {name: _plain(figures) for name, figures in _scale(level).items()},
+        **rounded(asdict(level.candidate)),
+        "scale": {name: rounded(asdict(figures)) for name, figures in _scale(level).items()},
     }
 
 
@@ -85,18 +85,10 @@ def format_table(reports: Mapping[str, Report]) -> str:
         rows = {name: each.candidate for name, each in candidates.items()} | _scale(level)
         for row, (name, figures) in enumerate(rows.items()):
             mark = " =" if name in candidates and candidates[name].invisible else ""
-            cells = [_cell(figures, *column[1:]) for column in _COLUMNS]
+            cells = [cell(getattr(figures, figure), form) for _, figure, form in _COLUMNS]
             lines.append(["" if row else label, name.replace("_", " ") + mark, *cells])
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    table = [
-        "  ".join(
-            cell.ljust(width) if index == 1 else cell.rjust(width)
-            for index, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    ]
     moved = [line for name, each in reports.items() for line in (*_turned(name, each.turn), *_morphed(each.morphs))]
-    return "\n".join(table + moved)
+    return "\n".join(aligned(lines, left=1) + moved)
 
 
 def _morphed(morphs: tuple[Morphing, ...]) -> list[str]:
@@ -123,17 +115,6 @@ def _labelled(report: Report) -> list[tuple[str, Level]]:
 
 def _scale(level: Level) -> dict[str, Figures]:
     return {"floor_0.5px": level.floor_half, "floor_1px": level.floor_one, "empty": level.empty}
-
-
-def _plain(figures: Figures | Turn | Morphing) -> dict[str, Any]:
-    return {
-        name: round(value, _DECIMALS) if isinstance(value, float) else value for name, value in asdict(figures).items()
-    }
-
-
-def _cell(figures: Figures, name: str, form: str) -> str:
-    value = getattr(figures, name)
-    return "-" if value is None else format(value, form)
 
 
 def _row(sample: Sample) -> Bytes:
